@@ -1,0 +1,93 @@
+//! Bytes to meshes and rigs to bytes. Untrusted input is checked here and nowhere after.
+//!
+//! No I/O: further files of an upload (buffers, textures, materials) are asked for through [`Siblings`].
+
+use crate::mesh::Mesh;
+use std::ops::Range;
+
+/// A decoded upload: one mesh to rig, and all that is needed to give the same file back with a skin.
+#[derive(Debug)]
+pub struct Asset {
+    pub format: Format,
+    /// All parts one after another, in upload space (glTF: world space of the rest pose).
+    pub mesh: Mesh,
+    /// Which vertices of `mesh` belong to which primitive. Covers `mesh.positions` without gaps, in order.
+    pub parts: Vec<Part>,
+    /// What the file says of its axes; `None` for formats that say nothing (OBJ, PLY, STL).
+    pub axes: Option<Axes>,
+    /// A skeleton and skin that came with the file.
+    pub existing_rig: Option<ExistingRig>,
+    /// What was noticed while reading, for the report.
+    pub findings: Vec<Finding>,
+}
+
+/// One primitive of one placed mesh. A glTF mesh used by two nodes makes two parts.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Part {
+    /// Name of the node, object or file, for people.
+    pub name: String,
+    /// glTF: index of the mesh in the uploaded document. Other formats: 0.
+    pub mesh: usize,
+    /// glTF: index of the primitive in its mesh. Other formats: 0.
+    pub primitive: usize,
+    /// Rows of [`Asset::mesh`]'s positions; in accessor order (glTF) or file order (OBJ, PLY, STL).
+    pub vertices: Range<usize>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Format {
+    Glb,
+    Gltf,
+    Obj,
+    Ply,
+    Stl,
+    Fbx,
+}
+
+/// Which way is up and which way a character faces, as signed unit axes of upload space.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Axes {
+    pub up: Axis,
+    pub front: Axis,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Axis {
+    PosX,
+    NegX,
+    PosY,
+    NegY,
+    PosZ,
+    NegZ,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ExistingRig {
+    pub skins: usize,
+    pub joints: usize,
+}
+
+/// Something worth telling the sender that did not stop the work.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Finding {
+    /// Stable, snake_case.
+    pub code: &'static str,
+    pub severity: Severity,
+    /// What was found, with names and counts.
+    pub message: String,
+    /// The next step for the sender; empty when there is none.
+    pub hint: String,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Severity {
+    Info,
+    Warning,
+}
+
+/// The other files of an upload, by the relative name that the main file uses.
+pub trait Siblings {
+    /// The bytes of `name`, or `None` when the upload has no such file. Implementations refuse names that leave
+    /// the upload (absolute, `..`).
+    fn read(&self, name: &str) -> Option<Vec<u8>>;
+}

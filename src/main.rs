@@ -1,0 +1,3 @@
+//! The `rigsmith` program: parse, call the library, say what happened.
+
+fn main() {}

@@ -1,0 +1,1 @@
+//! Trained networks as typed functions. The only place that names `ort`.

@@ -1,0 +1,42 @@
+//! Skeletons and skin weights, and the steps from displaced points to a rig.
+
+use glam::DVec3;
+
+/// A joint of a skeleton: a point with a parent.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Joint {
+    /// Unique within the skeleton, ASCII letters, digits and `_`.
+    pub name: String,
+    /// Index of the parent, below the joint's own index; `None` for the root alone.
+    pub parent: Option<usize>,
+    pub position: DVec3,
+}
+
+/// A joint tree in one space. Joint 0 is the root; parents precede children.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Skeleton {
+    pub joints: Vec<Joint>,
+}
+
+/// Skin weights in rows of influences, one row per vertex `[V, ≤ N]`.
+///
+/// Within a row: each joint at most once, weights above zero, descending (ties by ascending joint), sum 1 within
+/// rounding. No row is empty.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SkinWeights {
+    pub rows: Vec<Vec<Influence>>,
+}
+
+/// The share of one joint in the motion of one vertex.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Influence {
+    pub joint: u32,
+    pub weight: f32,
+}
+
+/// A skeleton and the skin weights of a mesh's vertices, both in the mesh's space.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Rig {
+    pub skeleton: Skeleton,
+    pub skin: SkinWeights,
+}

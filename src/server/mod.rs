@@ -1,0 +1,1 @@
+//! The HTTP door: extract, call [`crate::jobs`], answer.

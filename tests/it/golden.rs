@@ -1,0 +1,112 @@
+//! Golden vectors of the RigNet reference: where they are and how they are read.
+//!
+//! The folder is `RIGSMITH_GOLDEN_DIR`, by default the shared one beside the repository; every `*_golden.npz` in it
+//! is a case. Its README gives names, shapes and fair tolerances. Without the folder the tests say they were skipped.
+
+use glam::DVec3;
+use std::collections::HashMap;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+
+/// One array of a case: shape and raw `.npy` bytes.
+struct Array {
+    shape: Vec<usize>,
+    npy: Vec<u8>,
+}
+
+/// All arrays of one `*_golden.npz`.
+pub struct Case {
+    /// File name without `_golden.npz`.
+    pub id: String,
+    arrays: HashMap<String, Array>,
+}
+
+/// Every case of the golden folder, sorted by id; empty (and said so on stderr) when the folder is not there.
+pub fn cases() -> Vec<Case> {
+    let folder = std::env::var_os("RIGSMITH_GOLDEN_DIR")
+        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/golden"), PathBuf::from);
+    let Ok(entries) = std::fs::read_dir(&folder) else {
+        eprintln!("skipped: no golden vectors at {}", folder.display());
+        return Vec::new();
+    };
+    let mut paths: Vec<PathBuf> = entries
+        .map(|entry| entry.expect("golden folder is readable").path())
+        .filter(|path| path.to_string_lossy().ends_with("_golden.npz"))
+        .collect();
+    paths.sort();
+    assert!(!paths.is_empty(), "{} holds no *_golden.npz", folder.display());
+    paths.iter().map(|path| Case::read(path)).collect()
+}
+
+impl Case {
+    fn read(path: &Path) -> Self {
+        let file = std::fs::File::open(path).expect("golden file opens");
+        let mut archive = zip::ZipArchive::new(file).expect("npz is a zip");
+        let mut arrays = HashMap::new();
+        for index in 0..archive.len() {
+            let mut entry = archive.by_index(index).expect("zip entry");
+            let name = entry.name().trim_end_matches(".npy").to_owned();
+            let mut npy = Vec::new();
+            entry.read_to_end(&mut npy).expect("zip entry reads");
+            let shape = npyz::NpyFile::new(&npy[..]).expect("npy header").shape().iter().map(|&n| n as usize).collect();
+            arrays.insert(name, Array { shape, npy });
+        }
+        let name = path.file_name().expect("file name").to_string_lossy();
+        Self { id: name.trim_end_matches("_golden.npz").to_owned(), arrays }
+    }
+
+    fn array(&self, name: &str) -> &Array {
+        self.arrays.get(name).unwrap_or_else(|| panic!("case {} has no array {name}", self.id))
+    }
+
+    pub fn shape(&self, name: &str) -> &[usize] {
+        &self.array(name).shape
+    }
+
+    /// The array flattened in C order. f32, f64, i32 and u8 arrays all come as f64.
+    pub fn f64s(&self, name: &str) -> Vec<f64> {
+        let npy = &self.array(name).npy[..];
+        let file = || npyz::NpyFile::new(npy).expect("npy header");
+        if let Ok(data) = file().data::<f64>() {
+            data.map(|value| value.expect("f64")).collect()
+        } else if let Ok(data) = file().data::<f32>() {
+            data.map(|value| f64::from(value.expect("f32"))).collect()
+        } else if let Ok(data) = file().data::<i32>() {
+            data.map(|value| f64::from(value.expect("i32"))).collect()
+        } else if let Ok(data) = file().data::<i64>() {
+            data.map(|value| value.expect("i64") as f64).collect()
+        } else {
+            let data = file().data::<u8>().expect("u8 array");
+            data.map(|value| f64::from(value.expect("u8"))).collect()
+        }
+    }
+
+    pub fn f32s(&self, name: &str) -> Vec<f32> {
+        self.f64s(name).into_iter().map(|value| value as f32).collect()
+    }
+
+    /// An integer array; negative entries (parents) stay negative.
+    pub fn ints(&self, name: &str) -> Vec<i64> {
+        self.f64s(name).into_iter().map(|value| value as i64).collect()
+    }
+
+    pub fn scalar(&self, name: &str) -> f64 {
+        self.f64s(name)[0]
+    }
+
+    /// An `[N, 3]` array as points.
+    pub fn points(&self, name: &str) -> Vec<DVec3> {
+        self.f64s(name).chunks_exact(3).map(DVec3::from_slice).collect()
+    }
+
+    /// An `[N, 3]` index array as triangles.
+    pub fn triangles(&self, name: &str) -> Vec<[u32; 3]> {
+        self.ints(name).chunks_exact(3).map(|corner| [corner[0] as u32, corner[1] as u32, corner[2] as u32]).collect()
+    }
+
+    /// A bit array packed most significant bit first, cut to `count` bits.
+    pub fn bits(&self, name: &str, count: usize) -> Vec<bool> {
+        let packed = self.ints(name);
+        (0..count).map(|bit| packed[bit / 8] >> (7 - bit % 8) & 1 == 1).collect()
+    }
+}

@@ -1,0 +1,12 @@
+//! All integration tests, linked once. One module per claim-bearing area.
+
+mod architecture;
+mod formats_decode;
+mod formats_gltf;
+mod golden;
+mod golden_geometry;
+mod golden_nets;
+mod golden_rig;
+mod http;
+mod metamorphic;
+mod program;
