@@ -1,0 +1,38 @@
+"""How much training each network gets, and whose turn it is."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class Plan:
+    network: str
+    steps: int
+    learning_rate: float
+    share: float  # of the CPU time, relative to the others
+
+
+# Steps are what about 45 CPU minutes of one core allow; more time, more steps.
+PLANS = {
+    plan.network: plan
+    for plan in (
+        Plan("rignet_displacement", steps=6000, learning_rate=2e-3, share=18.0),
+        Plan("rignet_attention", steps=2400, learning_rate=2e-3, share=7.0),
+        Plan("rignet_bone", steps=2000, learning_rate=1e-3, share=4.0),
+        Plan("rignet_root", steps=1500, learning_rate=1e-3, share=2.5),
+        Plan("rignet_skin", steps=2400, learning_rate=1e-3, share=9.0),
+    )
+}
+
+
+def status(runs: Path, network: str) -> dict:
+    """-> {"step", "seconds"} of a run, zeros before it exists."""
+    path = runs / network / "status.json"
+    return json.loads(path.read_text()) if path.exists() else {"step": 0, "seconds": 0.0}
+
+
+def next_due(runs: Path) -> Plan | None:
+    """The unfinished network that is farthest behind its share, or None when all are finished."""
+    unfinished = [p for p in PLANS.values() if status(runs, p.network)["step"] < p.steps]
+    return min(unfinished, key=lambda p: status(runs, p.network)["seconds"] / p.share, default=None)
