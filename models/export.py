@@ -34,6 +34,12 @@ PARITY_TOLERANCE = 1e-4  # of the float32 graph against PyTorch, on outputs of a
 SELF_TEST_VALUES = 16
 SELF_TEST_TOLERANCE = 1e-3
 
+# Until evaluate.py --calibrate has run: the measured defaults of the design.
+UNTUNED_CALIBRATION = {
+    "bandwidth": 0.05, "mean_shift_steps": 10, "mean_shift_step_length": 0.9, "attention_min": 0.001,
+    "attention_power": 1.0, "mode_density_min": 0.01, "suppression_displacement": 0.5, "middle_max": 0.02,
+}
+
 SHAPES = {
     "positions": ("V", 3), "one_ring": ("V", "K1"), "geodesic_ball": ("V", "K2"), "joints": ("J", 3), "pairs": ("P", 2),
     "pair_features": ("P", 2), "bone_features": ("V", 40), "bone_mask": ("V", 5), "displacement": ("V", 3),
@@ -121,11 +127,11 @@ def parity(network, path: Path) -> float:
     return worst
 
 
-def self_test(path: Path, names) -> dict:
+def self_test(path: Path, names, output: str) -> dict:
     """Outputs of the shipped file on the known-answer inputs (models/artifacts/README.md)."""
     values = session(path).run(None, known_answer.inputs(names))[0].astype(np.float64)
     return {
-        "first": [round(float(v), 7) for v in values.reshape(-1)[:SELF_TEST_VALUES]],
+        "output": output, "first": [round(float(v), 7) for v in values.reshape(-1)[:SELF_TEST_VALUES]],
         "mean": round(float(values.mean()), 7), "std": round(float(values.std()), 7), "tolerance": SELF_TEST_TOLERANCE,
     }
 
@@ -174,7 +180,7 @@ def export_one(name: str, run: Path | None) -> dict:
         "inputs": described(network.inputs), "outputs": described([network.output]), "width": settings.width,
         "normalisation": settings.normalisation, "parameters": sum(p.numel() for p in network.parameters()),
         "parity": {"float32_graph": float(f"{full_precision_error:.1e}"), "shipped_file": float(f"{half_error:.1e}")},
-        "training": training, "validation": None, "self_test": self_test(path, network.inputs),
+        "training": training, "validation": None, "self_test": self_test(path, network.inputs, network.output),
     }
 
 
@@ -185,10 +191,12 @@ def main() -> None:
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     ARTIFACTS.mkdir(exist_ok=True)
-    manifest = json.loads(MANIFEST.read_text()) if MANIFEST.exists() else {"format": 1, "networks": {}}
+    manifest = json.loads(MANIFEST.read_text()) if MANIFEST.exists() else {"networks": {}}
+    manifest["format"] = "rigsmith.models/1"
     manifest["self_test_formula"] = "models/artifacts/README.md"
     manifest["exported"] = time.strftime("%Y-%m-%d")
-    manifest["licences"] = json.loads((HERE / "licences.json").read_text())
+    manifest["licence"] = json.loads((HERE / "licence.json").read_text())
+    manifest.setdefault("calibration", UNTUNED_CALIBRATION)
     for name in arguments.networks or NETWORKS:
         run = RUNS / name / "checkpoint.pt"
         if run.exists() or arguments.untrained:
