@@ -21,6 +21,7 @@ from onnx import TensorProto, helper, numpy_helper
 from rigsmith_models import known_answer
 from rigsmith_models.folding import folded
 from rigsmith_models.rignet import NETWORKS
+from rigsmith_models.train.joint_stage import JointStage
 from rigsmith_models.train.trainer import Settings, averaged_network
 
 HERE = Path(__file__).parent
@@ -192,7 +193,7 @@ def main() -> None:
     torch.set_num_threads(1)
     ARTIFACTS.mkdir(exist_ok=True)
     manifest = json.loads(MANIFEST.read_text()) if MANIFEST.exists() else {"networks": {}}
-    manifest["format"] = "rigsmith.models/1"
+    manifest["format"] = 1
     manifest["self_test_formula"] = "models/artifacts/README.md"
     manifest["exported"] = time.strftime("%Y-%m-%d")
     manifest["licence"] = json.loads((HERE / "licence.json").read_text())

@@ -13,7 +13,6 @@ from pathlib import Path
 import torch
 
 from rigsmith_models.data.sampling import Pool
-from rigsmith_models.rignet import NETWORKS
 from rigsmith_models.train.schedule import PLANS, next_due
 from rigsmith_models.train.trainer import Run, Settings
 
@@ -22,7 +21,7 @@ RUNS = Path(__file__).parent / "runs"
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("network", choices=[*NETWORKS, "due"])
+    parser.add_argument("network", choices=[*PLANS, "due"])
     parser.add_argument("--data", nargs="+", type=Path, required=True, help="cache files made by rigsmith_models.data.prepare")
     parser.add_argument("--minutes", type=float, required=True, help="wall clock")
     parser.add_argument("--name", help="folder under models/runs; default: the network")

@@ -28,7 +28,8 @@ def squared_distances(points: np.ndarray) -> np.ndarray:
 
 def joints_of(points, displacement_length, attention, settings: Clustering) -> np.ndarray:
     """points: (V, 3) = positions + displacement, displacement_length: (V,), attention: (V,) in (0, 1) -> (J, 3)."""
-    attention = (attention - attention.min()) / (attention.max() - attention.min() + 1e-9)
+    spread = attention.max() - attention.min()
+    attention = (attention - attention.min()) / spread if spread > 1e-6 else np.ones_like(attention)
     attention = attention**settings.attention_power
     kept = attention > settings.attention_min
     if not kept.any():
@@ -50,8 +51,8 @@ def joints_of(points, displacement_length, attention, settings: Clustering) -> n
             continue
         modes.append(i)
         near = squared[i] < squared_bandwidth
-        spread = (weight[near] * length[near]).sum() / weight[near].sum()
-        alive &= squared[i] > max(settings.bandwidth, settings.suppression * spread) ** 2
+        moved = (weight[near] * length[near]).sum() / weight[near].sum()
+        alive &= squared[i] > max(settings.bandwidth, settings.suppression * moved) ** 2
     joints = points[modes]
     joints[np.abs(joints[:, 0]) < settings.middle, 0] = 0
     return joints

@@ -7,6 +7,7 @@ import torch.nn.functional as F
 from ..data.bones import bone_features, candidate_pairs, is_bone, nearest_bones, weights_of_nearest_bones
 from ..data.sampling import padded_joints, shape_batch
 from ..rignet.skin import BONES_PER_VERTEX
+from .joint_stage import BANDWIDTH_LIMITS, mean_shift_states
 
 FAR = 1e3  # longer than any distance in the normalised frame
 JOINT_JITTER = 0.01  # predicted joints are about so far off
@@ -14,6 +15,7 @@ EDIT_PROBABILITY = 0.2  # of dropping a joint, and of inserting one on a bone
 SHARE_JITTER = 0.03  # the inside share of a jittered bone differs from the cached one
 DISTANCE_JITTER = 0.05  # relative, same reason
 HARDEST_SHARE = 0.3
+SHIFT_WEIGHT, MASK_WEIGHT = 2.0, 0.1  # of the mean-shift and mask losses beside the Chamfer distance
 SKIN_MASS_MIN = 0.5  # a vertex whose reference weights lie mostly on other bones than its nearest teaches nothing
 
 
@@ -56,6 +58,27 @@ class AttentionObjective:
         share = mask.mean().clamp(0.02, 0.98)
         weight = torch.where(mask > 0.5, 0.5 / share, 0.5 / (1 - share))
         return F.binary_cross_entropy_with_logits(network(*shape_of(batch)).float(), mask, weight=weight)
+
+
+class JointStageObjective:
+    """Chamfer of the displaced points + 2 x its mean over the mean-shift states + .1 x the mask's cross-entropy."""
+
+    def batch(self, characters, progress, rng, device):
+        batch = AttentionObjective().batch(characters, progress, rng, device)
+        batch["joints"], batch["valid"] = padded_joints(batch["joints"], device)
+        return batch
+
+    def loss(self, network, batch) -> torch.Tensor:
+        displacement, logit = network(*shape_of(batch))
+        graphs, logit = batch["graph_count"], logit.float()
+        mask_loss = F.binary_cross_entropy_with_logits(logit, batch["mask"])
+        with torch.autocast(logit.device.type, enabled=False):
+            points = (batch["positions"] + displacement.float()).reshape(graphs, -1, 3)
+            bandwidth = network.bandwidth.clamp(*BANDWIDTH_LIMITS)
+            states = mean_shift_states(points, torch.sigmoid(logit).reshape(graphs, -1), bandwidth)
+            direct = chamfer(points, batch["joints"], batch["valid"]).mean()
+            shifted = torch.stack([chamfer(s, batch["joints"], batch["valid"]).mean() for s in states]).mean()
+        return direct + SHIFT_WEIGHT * shifted + MASK_WEIGHT * mask_loss
 
 
 def edited_skeleton(joints, parents, inside_share, rng):
@@ -182,4 +205,5 @@ OBJECTIVES = {
     "rignet_bone": BoneObjective,
     "rignet_root": RootObjective,
     "rignet_skin": SkinObjective,
+    "rignet_joint_stage": JointStageObjective,
 }

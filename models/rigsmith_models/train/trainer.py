@@ -17,7 +17,10 @@ from torch import nn
 from ..data.sampling import Pool
 from ..layers import EdgeConv
 from ..rignet import NETWORKS
+from .joint_stage import JointStage
 from .objectives import OBJECTIVES
+
+TRAINED = {**NETWORKS, "rignet_joint_stage": JointStage}
 
 CHECKPOINT_SECONDS = 60.0
 LOG_STEPS = 50
@@ -56,7 +59,9 @@ class Run:
     def __init__(self, folder: Path, settings: Settings, device: str, resume: bool):
         self.folder, self.settings, self.device = folder, settings, device
         torch.manual_seed(settings.seed)
-        self.network = NETWORKS[settings.network](settings.width, settings.normalisation).to(device)
+        self.network = TRAINED[settings.network](settings.width, settings.normalisation).to(device)
+        if settings.network == "rignet_joint_stage":
+            self.start_from_parts()
         self.average = {k: v.detach().clone() for k, v in self.network.state_dict().items()}
         self.optimiser = torch.optim.AdamW(parameter_groups(self.network, settings.weight_decay), lr=settings.learning_rate)
         self.step = 0
@@ -70,6 +75,14 @@ class Run:
             self.step, self.seconds = state["step"], state["seconds"]
         keep_coordinates_exact(self.network)
         self.objective = OBJECTIVES[settings.network]()
+
+    def start_from_parts(self) -> None:
+        """Fine-tuning begins with the averaged weights of the two networks, where their runs exist."""
+        for part, name in JointStage.parts.items():
+            checkpoint = self.folder.parent / name / "checkpoint.pt"
+            if checkpoint.exists():
+                state = torch.load(checkpoint, map_location=self.device, weights_only=True)
+                getattr(self.network, part).load_state_dict(state["average"])
 
     @property
     def path(self) -> Path:
@@ -165,6 +178,6 @@ def averaged_network(checkpoint: Path, device: str = "cpu") -> tuple[nn.Module, 
     """The shipped weights of a run (the moving average), in evaluation mode, and the checkpoint's other entries."""
     state = torch.load(checkpoint, map_location=device, weights_only=True)
     settings = Settings(**state["settings"])
-    network = NETWORKS[settings.network](settings.width, settings.normalisation)
+    network = TRAINED[settings.network](settings.width, settings.normalisation)
     network.load_state_dict(state["average"])
     return network.eval(), {"settings": settings, "step": state["step"], "seconds": state["seconds"]}
