@@ -39,7 +39,9 @@ impl NetError {
             Self::RuntimeNotFound { .. } => {
                 "run `make ort` in the repository, or name the library by --onnxruntime or ORT_DYLIB_PATH"
             }
-            Self::RuntimeBroken { .. } => "run `make ort` again: it fetches the version that this program was built for",
+            Self::RuntimeBroken { .. } => {
+                "run `make ort` again: it fetches the version that this program was built for"
+            }
             Self::ModelsNotFound { .. } => "name the folder with manifest.json by --models or RIGSMITH_MODELS",
             Self::Unreadable { .. } | Self::Manifest { .. } | Self::NotListed { .. } | Self::Digest { .. } => {
                 "restore the models folder from the release that this program came with"

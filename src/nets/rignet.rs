@@ -88,9 +88,12 @@ impl RigNets {
         let logits = self.root.run(&inputs, "root_logit", cancellation)?;
         let logits = shaped::<Ix1>(&self.root, logits, &[joints.len_of(Axis(0))])?;
         // The first of equal maxima, so that the choice does not depend on iteration order.
-        let best = logits.iter().enumerate().fold((0, f32::MIN), |best, (index, &logit)| {
-            if logit > best.1 { (index, logit) } else { best }
-        });
+        let best = logits.iter().enumerate().fold(
+            (0, f32::MIN),
+            |best, (index, &logit)| {
+                if logit > best.1 { (index, logit) } else { best }
+            },
+        );
         Ok(best.0)
     }
 

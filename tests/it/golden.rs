@@ -16,10 +16,8 @@ pub struct Case {
 
 /// Every case of the golden folder, sorted by id; empty (and said so on stderr) when the folder is not there.
 pub fn cases() -> Vec<Case> {
-    let folder = std::env::var_os("RIGSMITH_GOLDEN_DIR").map_or_else(
-        || Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/golden"),
-        PathBuf::from,
-    );
+    let folder = std::env::var_os("RIGSMITH_GOLDEN_DIR")
+        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/golden"), PathBuf::from);
     let Ok(entries) = std::fs::read_dir(&folder) else {
         eprintln!("skipped: no golden vectors at {}", folder.display());
         return Vec::new();
