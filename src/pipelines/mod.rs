@@ -1,5 +1,10 @@
 //! The published methods, one file each, composed from mesh, geometry, nets and rig.
 
+pub mod shape;
+pub mod survey;
+
+pub use crate::geometry::orientation;
+
 use crate::cancellation::{Cancellation, Cancelled};
 use crate::mesh::Mesh;
 use crate::nets::NetError;
