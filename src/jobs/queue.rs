@@ -58,8 +58,6 @@ pub enum Refusal {
     ModelUnavailable { reason: String },
     #[error("{waiting} jobs are waiting, and no more may")]
     QueueFull { waiting: usize, retry_after: Duration },
-    #[error("the service has no room for another upload")]
-    StoreFull { retry_after: Duration },
     #[error("{0}")]
     Option(FieldError),
     #[error("the upload could not be stored")]
@@ -289,10 +287,15 @@ impl Jobs {
         self.core().ledger().drain();
     }
 
+    /// How many jobs run now.
+    pub fn running(&self) -> usize {
+        self.core().ledger().running()
+    }
+
     /// Resolves when no job runs.
     pub async fn idle(&self) {
         // Looked at a few times a second: it happens once in the life of a process.
-        while self.core().ledger().running() > 0 {
+        while self.running() > 0 {
             tokio::time::sleep(Duration::from_millis(50)).await;
         }
     }
