@@ -197,7 +197,7 @@ const SHOWN_CHARACTERS_MAX: usize = 60;
 const ERRORS_MAX: usize = 20;
 
 /// Collects fields from any number of places, then gives the options or every refusal at once.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub struct OptionsReader {
     options: RigOptions,
     seen: Vec<&'static str>,
