@@ -2,6 +2,8 @@
 //!
 //! No I/O: further files of an upload (buffers, textures, materials) are asked for through [`Siblings`].
 
+pub mod preview;
+
 use crate::mesh::Mesh;
 use std::ops::Range;
 
