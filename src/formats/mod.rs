@@ -7,6 +7,7 @@ mod error;
 pub mod gltf;
 mod limits;
 pub mod npz;
+pub mod preview;
 mod scene;
 
 pub use error::{DecodeError, ExceededLimit, Place};
