@@ -2,10 +2,59 @@
 //!
 //! No I/O: further files of an upload (buffers, textures, materials) are asked for through [`Siblings`].
 
+mod detect;
+mod error;
+pub mod gltf;
+mod limits;
+pub mod npz;
 pub mod preview;
+mod scene;
+
+pub use error::{DecodeError, ExceededLimit, Place};
+pub use limits::Limits;
+pub use scene::{Alpha, Image, ImageType, Material, Scene, SceneNode, ScenePrimitive};
 
 use crate::mesh::Mesh;
+use detect::Kind;
 use std::ops::Range;
+
+/// Reads one upload. What it is, its first bytes say, then the extension of `file_name`; `siblings` are the files sent
+/// with it. Every limit is checked before memory is spent for what it limits.
+pub fn decode(
+    file_name: &str,
+    bytes: &[u8],
+    siblings: &dyn Siblings,
+    limits: &Limits,
+    options: &DecodeOptions,
+) -> Result<Asset, DecodeError> {
+    let found = bytes.len() as u64;
+    if found > limits.bytes_max {
+        return Err(DecodeError::TooLarge { what: "the file".into(), found, limit: limits.bytes_max });
+    }
+    match detect::detect(file_name, bytes)? {
+        Kind::Mesh(Format::Glb | Format::Gltf) => gltf::decode(file_name, bytes, siblings, limits, options),
+        Kind::Mesh(Format::Obj | Format::Ply | Format::Stl | Format::Fbx) | Kind::Zip => {
+            Err(DecodeError::UnsupportedFormat { seen: file_name.into() })
+        }
+    }
+}
+
+/// What the sender chose about reading the file.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct DecodeOptions {
+    pub existing_rig: ExistingRigPolicy,
+    /// Leave a texture out, with a finding, where the file refers to one that was not sent; otherwise that is refused.
+    pub allow_missing_textures: bool,
+}
+
+/// What to do with a file that is rigged already.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ExistingRigPolicy {
+    #[default]
+    Reject,
+    /// Read it as if it had no rig; [`Asset::existing_rig`] says what was there.
+    Replace,
+}
 
 /// A decoded upload: one mesh to rig, and all that is needed to give the same file back with a skin.
 #[derive(Debug)]
@@ -21,6 +70,17 @@ pub struct Asset {
     pub existing_rig: Option<ExistingRig>,
     /// What was noticed while reading, for the report.
     pub findings: Vec<Finding>,
+    /// What the output is made from.
+    pub source: Source,
+}
+
+/// The rest of an upload: what is given back besides the rig.
+#[derive(Debug)]
+pub enum Source {
+    /// The glTF document itself; the output is this document, plus a skin.
+    Gltf(Box<gltf::Document>),
+    /// Any other format; the output is written from scratch.
+    Scene(Scene),
 }
 
 /// One primitive of one placed mesh. A glTF mesh used by two nodes makes two parts.
