@@ -1,0 +1,124 @@
+//! What OBJ, PLY, STL and FBX files hold besides their geometry, in glTF's conventions, ready to be written as GLB.
+//!
+//! Positions are not repeated here: each primitive vertex names the row of [`Asset::mesh`](super::Asset) that it copies.
+//! That row index is the kept map from split vertices back to file vertices: skin weights are computed per row and
+//! copied to every split, so seams never open.
+
+/// The parts of a file that its format calls objects, groups or meshes, and their looks.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Scene {
+    /// In file order; flat: all transforms are already in the positions.
+    pub nodes: Vec<SceneNode>,
+    pub materials: Vec<Material>,
+    pub images: Vec<Image>,
+}
+
+/// One named mesh.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SceneNode {
+    pub name: String,
+    /// One per material, in the order in which the file first uses them. None is empty.
+    pub primitives: Vec<ScenePrimitive>,
+}
+
+/// Triangles of one material, over vertices that are split where normals, texture coordinates or colours differ.
+///
+/// W is the number of split vertices; every present attribute has W rows.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ScenePrimitive {
+    /// Index into [`Scene::materials`].
+    pub material: Option<usize>,
+    /// `[W]`, row of [`Asset::mesh`](super::Asset)'s positions that each split vertex copies.
+    pub mesh_rows: Vec<u32>,
+    /// `[W, 3]`, unit length, upload space.
+    pub normals: Option<Vec<[f32; 3]>>,
+    /// `[W, 2]`, glTF's convention: the origin is the image's upper left corner.
+    pub texture_coordinates: Option<Vec<[f32; 2]>>,
+    /// `[W, 4]`, linear RGBA, 0 to 1.
+    pub colors: Option<Vec<[f32; 4]>>,
+    /// `[F, 3]`, indices below W.
+    pub triangles: Vec<[u32; 3]>,
+}
+
+/// A metallic-roughness material.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Material {
+    pub name: String,
+    /// Linear RGBA, 0 to 1.
+    pub base_color: [f32; 4],
+    /// Indices into [`Scene::images`], as all textures here.
+    pub base_color_texture: Option<usize>,
+    pub normal_texture: Option<usize>,
+    pub metallic: f32,
+    pub roughness: f32,
+    /// Linear RGB, 0 to 1.
+    pub emissive: [f32; 3],
+    pub emissive_texture: Option<usize>,
+    pub alpha: Alpha,
+    pub double_sided: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Alpha {
+    Opaque,
+    Blend,
+}
+
+impl Default for Material {
+    /// A plain, matt, non-metallic white, seen from both sides: OBJ and FBX know no culling.
+    fn default() -> Self {
+        Self {
+            name: String::new(),
+            base_color: [1.0; 4],
+            base_color_texture: None,
+            normal_texture: None,
+            metallic: 0.0,
+            roughness: 1.0,
+            emissive: [0.0; 3],
+            emissive_texture: None,
+            alpha: Alpha::Opaque,
+            double_sided: true,
+        }
+    }
+}
+
+/// A texture file as it was sent; never decoded.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Image {
+    /// File name without its folder.
+    pub name: String,
+    pub media_type: ImageType,
+    pub bytes: Vec<u8>,
+}
+
+/// The image formats that glTF can hold without an extension, told by their first bytes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ImageType {
+    Png,
+    Jpeg,
+}
+
+impl ImageType {
+    pub fn media_type(self) -> &'static str {
+        match self {
+            Self::Png => "image/png",
+            Self::Jpeg => "image/jpeg",
+        }
+    }
+
+    /// The type of an image file, `None` when glTF cannot hold it.
+    pub fn of(bytes: &[u8]) -> Option<Self> {
+        if bytes.starts_with(b"\x89PNG\r\n\x1a\n") {
+            Some(Self::Png)
+        } else if bytes.starts_with(&[0xff, 0xd8, 0xff]) {
+            Some(Self::Jpeg)
+        } else {
+            None
+        }
+    }
+}
+
+/// The sRGB transfer function [IEC 61966-2-1], from a stored colour value to linear light.
+pub(super) fn linear_from_srgb(value: f32) -> f32 {
+    if value <= 0.04045 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) }
+}
