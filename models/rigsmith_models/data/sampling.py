@@ -11,8 +11,8 @@ from .character import Character, read_cache
 REAL_SHARE = 0.5
 REAL_SHARE_LAST = 0.75  # in the last fifth of the steps
 LAST_PART = 0.8
-ONE_RING_MAX = 6
-BALL_MAX = 9
+ONE_RING_MAX = 4
+BALL_MAX = 8
 VERTEX_COUNTS = (384, 512, 768)
 VERTEX_COUNT_SHARES = (0.3, 0.5, 0.2)
 

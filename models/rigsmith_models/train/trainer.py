@@ -6,6 +6,7 @@ only on step / steps, so a run may be lengthened while its rate is still constan
 
 import json
 import math
+import signal
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -125,10 +126,12 @@ class Run:
         return float(loss.detach())
 
     def train(self, pool: Pool, minutes: float) -> None:
-        """Steps until the schedule or the wall clock ends; saves every minute and at the end."""
+        """Steps until the schedule or the wall clock ends, or a TERM signal; saves every minute and at the end."""
         started = saved = time.monotonic()
-        losses = []
-        while self.step < self.settings.steps and time.monotonic() - started < 60 * minutes:
+        losses: list[float] = []
+        stopped: list[int] = []
+        signal.signal(signal.SIGTERM, lambda number, _: stopped.append(number))
+        while self.step < self.settings.steps and time.monotonic() - started < 60 * minutes and not stopped:
             before = time.process_time()
             losses.append(self.train_step(pool))
             self.seconds += time.process_time() - before
