@@ -27,7 +27,7 @@ BANDWIDTHS = (0.04, 0.05)
 DENSITIES = (0.003, 0.005, 0.007, 0.01)
 ATTENTION_POWERS = (1.0, 2.0)
 CD_WEIGHT = 2.0
-JOINT_RATIOS = (0.7, 1.4)  # predicted / reference joint count that a calibrated setting must keep
+JOINT_RATIOS = (0.8, 1.2)  # predicted / reference joint count that a calibrated setting must keep
 
 
 class Network:
@@ -70,12 +70,12 @@ def calibrated(characters, predictions) -> tuple[Clustering, list[dict]]:
     return max(allowed, key=lambda g: g["iou"] - CD_WEIGHT * g["cd_j2j"])["settings"], grid
 
 
-def calibration_entry(settings: Clustering, tuned_on: str) -> dict:
+def calibration_entry(settings: Clustering) -> dict[str, float]:
     return {
         "bandwidth": settings.bandwidth, "mean_shift_steps": settings.steps, "mean_shift_step_length": settings.step_length,
         "attention_min": settings.attention_min, "attention_power": settings.attention_power,
         "mode_density_min": settings.density_min, "suppression_displacement": settings.suppression,
-        "middle_max": settings.middle, "tuned_on": tuned_on,
+        "middle_max": settings.middle,
     }
 
 
@@ -99,7 +99,8 @@ def main() -> None:
     settings = clustering_of(manifest["calibration"])
     if arguments.calibrate:
         settings, grid = calibrated(organic, predictions)
-        manifest["calibration"] = calibration_entry(settings, f"{len(organic)} organic validation characters")
+        manifest["calibration"] = calibration_entry(settings)
+        manifest["calibration_tuned_on"] = f"{len(organic)} organic validation characters"
         for line in grid:
             print(f"h {line['settings'].bandwidth} density {line['settings'].density_min} power {line['settings'].attention_power}: "
                   f"IoU {line['iou']:.3f} CD {line['cd_j2j']:.4f} joints {line['joints']:.1f} of {line['joints_reference']:.1f}")
