@@ -14,6 +14,8 @@ pub mod obj;
 pub mod ply;
 mod ply_header;
 mod polygon;
+pub mod rig_json;
+pub mod rignet_text;
 mod scene;
 mod scene_builder;
 mod siblings;

@@ -3,18 +3,15 @@
 //! A skinned mesh ignores its node's transform, so what the node did must be in the vertices. Accessors that only the
 //! baked mesh uses are overwritten where they lie; shared, sparse or quantised ones get new accessors.
 
-use super::accessors::{Accessor, Component, Reader};
+use super::accessors::{Component, Reader};
 use super::buffers::append_view;
 use super::json::{index, items, malformed, number, push, remove, text};
-use super::references::{self, Kind};
-use super::soundness_of_vertices::check_floats;
-use crate::formats::{DecodeError, Limits};
+use super::layout_check::Layouts;
+use crate::formats::soundness::check_position;
+use crate::formats::{DecodeError, Limits, Place};
 use glam::{DMat3, DMat4, DVec3};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
-
-/// Above this many accessors nothing is overwritten: looking for overlaps would take too long.
-const ACCESSORS_FOR_OVERWRITING: usize = 10_000;
 
 /// How one primitive's vertices come to world space.
 #[derive(Clone, Debug, PartialEq)]
@@ -88,9 +85,16 @@ pub(super) struct Edit<'a> {
     pub(super) json: &'a mut Value,
     pub(super) binary: &'a mut Vec<u8>,
     pub(super) limits: &'a Limits,
+    pub(super) layouts: Layouts,
 }
 
-impl Edit<'_> {
+impl<'a> Edit<'a> {
+    /// Meshes that several nodes show must have been made several before.
+    pub(super) fn new(json: &'a mut Value, binary: &'a mut Vec<u8>, limits: &'a Limits) -> Self {
+        let layouts = Layouts::new(json, binary, limits);
+        Self { json, binary, limits, layouts }
+    }
+
     pub(super) fn reader(&self) -> Reader<'_> {
         Reader { json: self.json, binary: self.binary, limits: self.limits }
     }
@@ -108,7 +112,7 @@ impl Edit<'_> {
         }
         for (primitive, &frame) in frame_of.iter().enumerate() {
             if frames[frame].mirrors() {
-                super::winding::flip(self, mesh, primitive)?;
+                super::triangles::flip(self, mesh, primitive)?;
             }
         }
         Ok(())
@@ -177,7 +181,7 @@ impl Edit<'_> {
         if is_plain && is_kept {
             if *role == Role::Position {
                 let floats = reader.floats(&read)?;
-                check_floats(&floats, "coordinate", &place)?;
+                check_positions(&floats, &place)?;
                 set_bounds(&mut self.json["accessors"][accessor], &floats, read.width);
             }
             return Ok(());
@@ -195,11 +199,11 @@ impl Edit<'_> {
             self.transform(&mut floats, role, frame)?;
         }
         if *role == Role::Position {
-            check_floats(&floats, "coordinate", &place)?;
+            check_positions(&floats, &place)?;
         }
         let bytes: Vec<u8> = floats.iter().flat_map(|value| value.to_le_bytes()).collect();
         let needs_bounds = matches!(role, Role::Position | Role::PositionDelta);
-        if self.may_overwrite(accessor, &read, slots.len())? {
+        if self.layouts.may_overwrite(accessor, &read, slots.len()) {
             let layout = read.layout.as_ref().expect("an accessor that may be overwritten has bytes");
             for (element, bytes) in bytes.chunks_exact(layout.element_bytes).enumerate() {
                 self.binary[layout.element(element)].copy_from_slice(bytes);
@@ -210,7 +214,8 @@ impl Edit<'_> {
             }
             return Ok(());
         }
-        let new = self.append_accessor(accessor, &bytes, needs_bounds.then_some(&floats), read.width);
+        let new = self.append_accessor(accessor, &bytes, needs_bounds.then_some(&floats), read.width)?;
+        self.layouts.move_users(accessor, new, slots.len());
         for slot in slots {
             let primitive = &mut self.json["meshes"][mesh]["primitives"][slot.primitive];
             let attributes = match slot.target {
@@ -223,7 +228,14 @@ impl Edit<'_> {
     }
 
     /// A copy of an accessor's description over new bytes of floats.
-    fn append_accessor(&mut self, like: usize, bytes: &[u8], bounds: Option<&Vec<f32>>, width: usize) -> usize {
+    fn append_accessor(
+        &mut self,
+        like: usize,
+        bytes: &[u8],
+        bounds: Option<&Vec<f32>>,
+        width: usize,
+    ) -> Result<usize, DecodeError> {
+        self.check_growth(bytes.len())?;
         let view = append_view(self.json, self.binary, bytes);
         self.json["bufferViews"][view]["target"] = json!(34962);
         let mut accessor = self.json["accessors"][like].clone();
@@ -235,44 +247,17 @@ impl Edit<'_> {
         if let Some(floats) = bounds {
             set_bounds(&mut accessor, floats, width);
         }
-        push(self.json, "accessors", accessor)
+        Ok(push(self.json, "accessors", accessor))
     }
 
-    /// True when nothing but `users` references of this mesh reads the accessor's bytes.
-    pub(super) fn may_overwrite(
-        &mut self,
-        accessor: usize,
-        read: &Accessor,
-        users: usize,
-    ) -> Result<bool, DecodeError> {
-        let count = items(self.json, "accessors").len();
-        let Some(layout) = read.layout.as_ref().filter(|_| !read.is_sparse() && count <= ACCESSORS_FOR_OVERWRITING) else {
-            return Ok(false);
-        };
-        if !matches!(read.component, Component::F32 | Component::U32 | Component::U16 | Component::U8)
-            || layout.element_bytes != read.width * read.component.bytes()
-            || references::counts(self.json, Kind::Accessor).get(&accessor) != Some(&users)
-        {
-            return Ok(false);
+    /// Many accessors over the same few bytes would otherwise unfold without bound.
+    pub(super) fn check_growth(&self, bytes: usize) -> Result<(), DecodeError> {
+        let (found, limit) = ((self.binary.len() + bytes) as u64, self.limits.bytes_max.saturating_mul(4));
+        if found > limit {
+            let what = "the geometry with its transforms applied".into();
+            return Err(DecodeError::TooLarge { what, found, limit });
         }
-        let reader = self.reader();
-        for other in (0..count).filter(|&other| other != accessor) {
-            // An accessor that does not read is no reason to refuse the file here: nothing may ever use it.
-            let Ok(other) = reader.accessor(other) else { return Ok(false) };
-            if other.layout.as_ref().is_some_and(|other| overlap(layout, other)) || other.is_sparse() {
-                return Ok(false);
-            }
-        }
-        let mine = layout.range();
-        for image in items(self.json, "images") {
-            let Some(view) = image.get("bufferView").and_then(index) else { continue };
-            let Some(json) = items(self.json, "bufferViews").get(view) else { continue };
-            let range = super::accessors::view_range(json, view, self.binary.len())?;
-            if range.start < mine.end && mine.start < range.end {
-                return Ok(false);
-            }
-        }
-        Ok(true)
+        Ok(())
     }
 
     fn transform(&self, floats: &mut [f32], role: &Role, frame: &Frame) -> Result<(), DecodeError> {
@@ -332,6 +317,13 @@ fn positive(length: Option<&f64>) -> f64 {
     length.copied().filter(|length| *length > 0.0).unwrap_or(1.0)
 }
 
+fn check_positions(floats: &[f32], place: &str) -> Result<(), DecodeError> {
+    for (row, value) in floats.chunks_exact(3).enumerate() {
+        check_position(vector(value), super::FORMAT, || Place::Element(format!("{place}, vertex {row}")))?;
+    }
+    Ok(())
+}
+
 /// Unit length; a direction that the transform flattens to nothing stays as it was.
 fn direction(transformed: DVec3, original: DVec3) -> DVec3 {
     transformed.try_normalize().unwrap_or(original)
@@ -371,19 +363,6 @@ pub(super) fn set_bounds(accessor: &mut Value, floats: &[f32], width: usize) {
             accessor[key] = json!(bounds.iter().map(|&value| f64::from(value)).collect::<Vec<f64>>());
         }
     }
-}
-
-/// Whether two accessors share a byte. Interleaved ones share a range, but not a byte.
-fn overlap(a: &super::accessors::Layout, b: &super::accessors::Layout) -> bool {
-    let (first, second) = (a.range(), b.range());
-    if first.start >= second.end || second.start >= first.end {
-        return false;
-    }
-    if a.stride != b.stride || a.stride == 0 {
-        return true;
-    }
-    let shift = (b.start + a.stride - a.start % a.stride) % a.stride;
-    !(shift >= a.element_bytes && shift + b.element_bytes <= a.stride)
 }
 
 /// Turns quantised geometry of every mesh into floats, so that the extension can leave the document.

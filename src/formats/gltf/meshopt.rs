@@ -14,7 +14,7 @@ pub(super) const EXTENSIONS: &[&str] = &["EXT_meshopt_compression", "KHR_meshopt
 const STRIDE_MAX: u64 = 256;
 
 pub(super) fn is_fallback(buffer: &Value) -> bool {
-    let is_marked = |extension: &&str| buffer["extensions"][**extension]["fallback"] == Value::Bool(true);
+    let is_marked = |extension: &&str| buffer["extensions"][*extension]["fallback"] == Value::Bool(true);
     EXTENSIONS.iter().any(is_marked)
 }
 
