@@ -226,9 +226,8 @@ fn forget_images(json: &mut Value, missing: &[usize]) -> Vec<Finding> {
         return Vec::new();
     }
     let names: Vec<String> = missing.iter().map(|&image| text(&json["images"][image], "name").to_owned()).collect();
-    let is_missing = |texture: &Value| {
-        texture.get("source").and_then(index).is_some_and(|source| missing.contains(&source))
-    };
+    let is_missing =
+        |texture: &Value| texture.get("source").and_then(index).is_some_and(|source| missing.contains(&source));
     let textures: Vec<usize> = items(json, "textures")
         .iter()
         .enumerate()

@@ -22,14 +22,18 @@ fn rigged_fixture() -> Builder {
     builder.root(json!({ "name": "Armature", "children": [1, 2] }));
     builder.push("nodes", json!({ "name": "Body", "mesh": mesh, "skin": 0, "scale": [100, 100, 100] }));
     builder.push("nodes", json!({ "name": "Hips", "children": [3] }));
-    builder.push("nodes", json!({ "name": "Spine", "translation": [0, 1, 0], "rotation": [0.6, 0, 0, 0.8], "children": [4, 5] }));
+    builder.push(
+        "nodes",
+        json!({ "name": "Spine", "translation": [0, 1, 0], "rotation": [0.6, 0, 0, 0.8], "children": [4, 5] }),
+    );
     builder.push("nodes", json!({ "name": "Spine_end", "translation": [0, 1, 0] }));
     builder.push("nodes", json!({ "name": "Eye", "camera": 0 }));
     builder.push("cameras", json!({ "type": "perspective", "perspective": { "yfov": 1.0, "znear": 0.1 } }));
     builder.push("skins", json!({ "joints": [2, 3], "inverseBindMatrices": inverse }));
     let (times, turns) = (builder.floats(&[[0.0], [1.0]]), builder.floats(&[[0.0, 0.0, 0.0, 1.0]; 2]));
     let sampler = json!({ "input": times, "output": turns });
-    let channel = |node: usize, sampler: usize| json!({ "sampler": sampler, "target": { "node": node, "path": "rotation" } });
+    let channel =
+        |node: usize, sampler: usize| json!({ "sampler": sampler, "target": { "node": node, "path": "rotation" } });
     builder.push("animations", json!({ "samplers": [sampler], "channels": [channel(2, 0)] }));
     builder.push("animations", json!({ "samplers": [sampler, sampler], "channels": [channel(3, 0), channel(5, 1)] }));
     builder
@@ -64,13 +68,17 @@ fn a_replaced_rig_leaves_nothing_but_the_mesh_where_it_was() {
     does_not_jump(&sent, &asset);
     let file = encoded("replaced", &asset);
     let (json, binary) = open(&file);
-    let names: Vec<&str> = json["nodes"].as_array().unwrap().iter().map(|node| node["name"].as_str().unwrap()).collect();
+    let names: Vec<&str> =
+        json["nodes"].as_array().unwrap().iter().map(|node| node["name"].as_str().unwrap()).collect();
     // Joints above the camera stay for it; the end of the spine goes.
     assert_eq!(names, ["Armature", "Body", "Hips", "Spine", "Eye", "hips", "spine", "head"]);
     assert_eq!(json["skins"].as_array().unwrap().len(), 1);
     // Channels of old joints went, the camera's stayed, with the one sampler it needs.
     assert_eq!(json["animations"].as_array().unwrap().len(), 1);
-    assert_eq!(json["animations"][0]["channels"], json!([{ "sampler": 0, "target": { "node": 4, "path": "rotation" } }]));
+    assert_eq!(
+        json["animations"][0]["channels"],
+        json!([{ "sampler": 0, "target": { "node": 4, "path": "rotation" } }])
+    );
     assert_eq!(json["animations"][0]["samplers"].as_array().unwrap().len(), 1);
     // Body, indices, animation; joints, weights and matrices once, not twice.
     assert!(binary.len() <= 24 * 24 + 72 + 40 + 24 * 20 + 3 * 64, "{}", binary.len());
@@ -81,7 +89,8 @@ fn without_a_camera_the_whole_old_skeleton_goes() {
     let mut builder = rigged_fixture();
     builder.json["nodes"][5].as_object_mut().unwrap().remove("camera");
     let (json, _) = open(&encoded("replaced_whole", &replace(&builder.glb())));
-    let names: Vec<&str> = json["nodes"].as_array().unwrap().iter().map(|node| node["name"].as_str().unwrap()).collect();
+    let names: Vec<&str> =
+        json["nodes"].as_array().unwrap().iter().map(|node| node["name"].as_str().unwrap()).collect();
     assert_eq!(names, ["Body", "hips", "spine", "head"]);
     assert!(json.get("animations").is_none());
 }

@@ -64,7 +64,10 @@ impl Builder {
     pub fn shorts(&mut self, indices: &[u16]) -> usize {
         let bytes: Vec<u8> = indices.iter().flat_map(|index| index.to_le_bytes()).collect();
         let view = self.view(&bytes);
-        self.push("accessors", json!({ "bufferView": view, "componentType": 5123, "count": indices.len(), "type": "SCALAR" }))
+        self.push(
+            "accessors",
+            json!({ "bufferView": view, "componentType": 5123, "count": indices.len(), "type": "SCALAR" }),
+        )
     }
 
     /// A mesh of one primitive: a body of positions, normals and indices.
@@ -180,10 +183,8 @@ pub fn simple_rig(asset: &Asset) -> Rig {
     let middle = (low + high) / 2.0;
     let at = |part: f64| DVec3::new(middle.x, low.y + part * (high.y - low.y), middle.z);
     let joints = [("hips", None, at(0.2)), ("spine", Some(0), at(0.5)), ("head", Some(1), at(0.9))];
-    let joints: Vec<Joint> = joints
-        .into_iter()
-        .map(|(name, parent, position)| Joint { name: name.into(), parent, position })
-        .collect();
+    let joints: Vec<Joint> =
+        joints.into_iter().map(|(name, parent, position)| Joint { name: name.into(), parent, position }).collect();
     let size = (high - low).max_element();
     let row = |point: &DVec3| {
         let mut near: Vec<(f64, u32)> =

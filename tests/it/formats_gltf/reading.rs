@@ -32,7 +32,8 @@ fn buffers_may_be_files_data_uris_or_the_binary_chunk() {
 #[test]
 fn several_buffers_become_one() {
     let mut builder = plain();
-    let second: Vec<u8> = builder.binary.split_off(builder.json["bufferViews"][2]["byteOffset"].as_u64().unwrap() as usize);
+    let second: Vec<u8> =
+        builder.binary.split_off(builder.json["bufferViews"][2]["byteOffset"].as_u64().unwrap() as usize);
     builder.json["bufferViews"][2]["buffer"] = json!(1);
     builder.json["bufferViews"][2]["byteOffset"] = json!(0);
     builder.json["buffers"] = json!([
@@ -78,11 +79,9 @@ fn a_missing_texture_is_left_out_when_allowed() {
 #[test]
 fn strips_fans_and_lists_without_indices_are_triangles() {
     let corners = vec![[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.5, 2.0, 0.0_f32]];
-    for (mode, expected) in [
-        (5, vec![[0, 1, 2], [1, 3, 2], [2, 3, 4]]),
-        (6, vec![[1, 2, 0], [2, 3, 0], [3, 4, 0]]),
-        (4, vec![[0, 1, 2]]),
-    ] {
+    for (mode, expected) in
+        [(5, vec![[0, 1, 2], [1, 3, 2], [2, 3, 4]]), (6, vec![[1, 2, 0], [2, 3, 0], [3, 4, 0]]), (4, vec![[0, 1, 2]])]
+    {
         for scale in [[1, 1, 1], [-1, 1, 1]] {
             let mut builder = Builder::new();
             let position = builder.floats(&corners);
@@ -127,11 +126,8 @@ fn quantised() -> Builder {
     let mut builder = Builder::new();
     let body = body();
     let short = |value: f32| ((value / 2.0 * 32767.0).round() as i16).to_le_bytes();
-    let positions: Vec<u8> = body
-        .positions
-        .iter()
-        .flat_map(|p| [short(p[0]), short(p[1]), short(p[2]), [0, 0]].concat())
-        .collect();
+    let positions: Vec<u8> =
+        body.positions.iter().flat_map(|p| [short(p[0]), short(p[1]), short(p[2]), [0, 0]].concat()).collect();
     let normals: Vec<u8> =
         body.normals.iter().flat_map(|n| [n[0], n[1], n[2], 0.0].map(|v| (v * 127.0).round() as i8 as u8)).collect();
     let mut add = |bytes: &[u8], stride: usize, component: u32, kind: &str, normalized: bool| {
@@ -188,7 +184,8 @@ fn meshopt_compressed(extension: &str) -> Vec<u8> {
         let start = view["byteOffset"].as_u64().unwrap() as usize;
         let bytes = &plain_bytes[start..start + view["byteLength"].as_u64().unwrap() as usize];
         let (compressed, mode, stride) = if index == 2 {
-            let corners: Vec<u32> = bytes.as_chunks::<2>().0.iter().map(|two| u16::from_le_bytes(*two).into()).collect();
+            let corners: Vec<u32> =
+                bytes.as_chunks::<2>().0.iter().map(|two| u16::from_le_bytes(*two).into()).collect();
             (meshopt::encode_index_buffer(&corners, 24).unwrap(), "TRIANGLES", 2)
         } else {
             let rows: Vec<[u32; 3]> = bytes
@@ -293,7 +290,9 @@ fn primitives_that_share_vertices_share_their_weights() {
 fn a_posed_skin_moves_every_vertex_by_its_own_weights() {
     let asset = read(&plain().glb()).unwrap();
     let rig = simple_rig(&asset);
-    let bend = |joint: usize| DMat4::from_translation(DVec3::new(0.0, 0.0, joint as f64)) * DMat4::from_rotation_x(0.4 * joint as f64);
+    let bend = |joint: usize| {
+        DMat4::from_translation(DVec3::new(0.0, 0.0, joint as f64)) * DMat4::from_rotation_x(0.4 * joint as f64)
+    };
     let shown = posed_with(&encoded("posed", &asset), bend);
     for ((shown, rest), row) in shown[0].positions.iter().zip(&asset.mesh.positions).zip(&rig.skin.rows) {
         let expected: DVec3 = row

@@ -120,7 +120,8 @@ fn refusals_name_the_extension_or_the_file() {
 
 #[test]
 fn a_damaged_or_short_buffer_is_refused() {
-    let read = |uri: &str| decode("a.gltf", &plain().gltf(uri), &NoSiblings, &Limits::default(), &DecodeOptions::default());
+    let read =
+        |uri: &str| decode("a.gltf", &plain().gltf(uri), &NoSiblings, &Limits::default(), &DecodeOptions::default());
     assert!(matches!(read("data:;base64,???").unwrap_err(), DecodeError::Malformed { .. }));
     assert!(matches!(read("data:;base64,AAAA").unwrap_err(), DecodeError::Truncated { .. }));
 }

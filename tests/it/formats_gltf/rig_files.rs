@@ -41,7 +41,8 @@ fn a_rig_file_is_read_as_it_was_written() {
 #[test]
 fn each_fault_of_a_rig_file_is_named() {
     let asset = read(&plain().glb()).unwrap();
-    let good: Value = serde_json::from_slice(&rig_json::write(&asset, &simple_rig(&asset), "rignet", &json!({}))).unwrap();
+    let good: Value =
+        serde_json::from_slice(&rig_json::write(&asset, &simple_rig(&asset), "rignet", &json!({}))).unwrap();
     type Change = fn(&mut Value);
     let cases: &[(&str, &str, Change)] = &[
         ("skeleton_invalid", "the format is \"other/1\"", |json| json["format"] = json!("other/1")),
@@ -71,7 +72,11 @@ fn rignet_text_lists_joints_root_weights_and_hierarchy() {
     let mut rig = simple_rig(&asset);
     // A branch, so that breadth first differs from the order of joints.
     rig.skeleton.joints[2].parent = Some(0);
-    rig.skeleton.joints.push(rigsmith::rig::Joint { name: "chest".into(), parent: Some(1), ..rig.skeleton.joints[1].clone() });
+    rig.skeleton.joints.push(rigsmith::rig::Joint {
+        name: "chest".into(),
+        parent: Some(1),
+        ..rig.skeleton.joints[1].clone()
+    });
     rig.skeleton.joints[3].position.x = -1.0 / 3.0;
     let text = rignet_text::write(&asset, &rig);
     let lines: Vec<&str> = text.lines().collect();

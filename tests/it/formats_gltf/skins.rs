@@ -3,7 +3,9 @@
 use super::fixtures::*;
 use glam::DVec3;
 use rigsmith::formats::gltf::{EncodeError, EncodeOptions, WeightFormat, encode_glb};
-use rigsmith::formats::{Alpha, Asset, Format, Image, ImageType, Material, Part, Scene, SceneNode, ScenePrimitive, Source};
+use rigsmith::formats::{
+    Alpha, Asset, Format, Image, ImageType, Material, Part, Scene, SceneNode, ScenePrimitive, Source,
+};
 use rigsmith::mesh::Mesh;
 use rigsmith::rig::{Influence, Joint, Rig};
 use serde_json::{Value, json};
@@ -38,7 +40,8 @@ fn weights_descend_sum_to_one_and_name_each_joint_once() {
     let asset = read(&plain().glb()).unwrap();
     let mut rig = wide_rig(&asset, 40, 7);
     // Out of order, twice the same joint, zeros: the file is still in order.
-    rig.skin.rows[5] = [(3, 0.25), (9, 0.0), (1, 0.25), (3, 0.5)].map(|(joint, weight)| Influence { joint, weight }).to_vec();
+    rig.skin.rows[5] =
+        [(3, 0.25), (9, 0.0), (1, 0.25), (3, 0.5)].map(|(joint, weight)| Influence { joint, weight }).to_vec();
     let file = encode_glb(&asset, &rig, &EncodeOptions::default()).unwrap();
     keep("forty_joints", &file);
     for shown in posed(&file) {
@@ -99,7 +102,8 @@ fn whole_number_weights_sum_exactly() {
         let start = view["byteOffset"].as_u64().unwrap() as usize;
         let bytes = &binary[start..start + view["byteLength"].as_u64().unwrap() as usize];
         let width = if whole > 255 { 2 } else { 1 };
-        let values: Vec<u32> = bytes.chunks(width).map(|v| v.iter().rev().fold(0, |s, b| s << 8 | u32::from(*b))).collect();
+        let values: Vec<u32> =
+            bytes.chunks(width).map(|v| v.iter().rev().fold(0, |s, b| s << 8 | u32::from(*b))).collect();
         assert!(values.chunks(4).all(|row| row.iter().sum::<u32>() == whole && row.is_sorted_by(|a, b| a >= b)));
     }
 }
@@ -121,7 +125,8 @@ fn joints_have_translations_only_and_the_rest_pose_is_the_bind_pose() {
         assert!(node.keys().all(|key| ["name", "translation", "children"].contains(&key.as_str())));
         place += DVec3::from_array([0, 1, 2].map(|axis| node["translation"][axis].as_f64().unwrap()));
         let at = start + 64 * number + 48;
-        let inverse: Vec<f32> = binary[at..at + 12].as_chunks::<4>().0.iter().map(|four| f32::from_le_bytes(*four)).collect();
+        let inverse: Vec<f32> =
+            binary[at..at + 12].as_chunks::<4>().0.iter().map(|four| f32::from_le_bytes(*four)).collect();
         assert!((0..3).all(|axis| (f64::from(inverse[axis]) + place[axis]).abs() < 1e-6));
         assert!(place.distance(rig.skeleton.joints[number].position) < 1e-6);
     }
@@ -137,7 +142,10 @@ fn a_rig_that_does_not_fit_the_mesh_is_not_written() {
     };
     assert_eq!(fault(|rig| rig.skin.rows.truncate(3)), EncodeError::RowCount { rows: 3, vertices: 24 });
     assert_eq!(fault(|rig| rig.skin.rows[7].clear()), EncodeError::NoWeight { vertex: 7 });
-    assert_eq!(fault(|rig| rig.skin.rows[7][0].joint = 3), EncodeError::UnknownJoint { vertex: 7, joint: 3, joints: 3 });
+    assert_eq!(
+        fault(|rig| rig.skin.rows[7][0].joint = 3),
+        EncodeError::UnknownJoint { vertex: 7, joint: 3, joints: 3 }
+    );
     assert_eq!(fault(|rig| rig.skeleton.joints.clear()), EncodeError::JointCount { joints: 0, limit: 65535 });
     assert_eq!(fault(|rig| rig.skeleton.joints[1].parent = Some(2)).code(), "skeleton_invalid");
     assert_eq!(fault(|rig| rig.skeleton.joints[1].parent = None).code(), "skeleton_invalid");
@@ -179,7 +187,8 @@ fn animations_of_a_mesh_node_are_dropped_and_those_of_its_morph_weights_kept() {
 
 /// Two triangles over a shared edge that is a seam: split vertices of one file vertex.
 fn scene_asset() -> Asset {
-    let positions = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 2.0, 0.0], [0.0, 2.0, 0.5]].map(DVec3::from_array).to_vec();
+    let positions =
+        [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 2.0, 0.0], [0.0, 2.0, 0.5]].map(DVec3::from_array).to_vec();
     let triangles = vec![[0, 1, 2], [0, 2, 3]];
     let primitive = |rows: [u32; 3], material: usize| ScenePrimitive {
         material: Some(material),
@@ -190,7 +199,10 @@ fn scene_asset() -> Asset {
         triangles: vec![[0, 1, 2]],
     };
     let scene = Scene {
-        nodes: vec![SceneNode { name: "hips".into(), primitives: vec![primitive([0, 1, 2], 0), primitive([0, 2, 3], 1)] }],
+        nodes: vec![SceneNode {
+            name: "hips".into(),
+            primitives: vec![primitive([0, 1, 2], 0), primitive([0, 2, 3], 1)],
+        }],
         materials: vec![
             Material { name: "skin".into(), base_color_texture: Some(0), alpha: Alpha::Blend, ..Material::default() },
             Material { emissive: [0.1, 0.0, 0.0], ..Material::default() },

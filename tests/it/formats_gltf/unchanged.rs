@@ -24,7 +24,8 @@ fn rich() -> Builder {
         }),
     );
     builder.push("cameras", json!({ "type": "perspective", "perspective": { "yfov": 1.0, "znear": 0.1 } }));
-    builder.root(json!({ "name": "Camera", "camera": 0, "translation": [0, 1.0, 5], "extras": { "order": ["z", "a"] } }));
+    builder
+        .root(json!({ "name": "Camera", "camera": 0, "translation": [0, 1.0, 5], "extras": { "order": ["z", "a"] } }));
     builder.push("scenes", json!({ "name": "other", "nodes": [1] }));
     let deltas = builder.floats(&vec![[0.0, 0.1, 0.0]; 24]);
     let times = builder.floats(&[[0.0], [1.0]]);
