@@ -7,7 +7,7 @@ use serde_json::json;
 use std::path::Path;
 
 /// The body with a skin of two joints below an armature, in a pose that is not the bind pose; a camera hangs on a joint.
-fn rigged_fixture() -> Builder {
+pub fn rigged_fixture() -> Builder {
     let mut builder = Builder::new();
     let mesh = builder.body(&body());
     let joints_view = builder.view(&[0, 1, 0, 0].repeat(24));

@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
 
 /// A file with something of everything that must come through.
-fn rich() -> Builder {
+pub fn rich() -> Builder {
     let mut builder = plain();
     let image = builder.view(&pixel());
     builder.push("images", json!({ "bufferView": image, "mimeType": "image/png", "name": "skin" }));
