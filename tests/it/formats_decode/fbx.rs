@@ -1,6 +1,7 @@
 //! FBX, read by `ufbx`.
 
 use super::*;
+use base64::Engine;
 
 #[test]
 fn fbx_is_placed_in_the_world_in_metres_with_y_up() {
@@ -38,6 +39,31 @@ fn fbx_takes_its_texture_from_the_upload() {
     let asset = read_with("board.fbx", &ascii_fbx("", ""), &upload).expect("reads");
     let scene = scene(&asset);
     assert_eq!(scene.images[scene.materials[1].base_color_texture.expect("a texture")].bytes, PNG);
+}
+
+#[test]
+fn fbx_takes_its_texture_from_inside_itself() {
+    let content = base64::prelude::BASE64_STANDARD.encode(PNG);
+    let video = format!(
+        "\tVideo: 4100, \"Video::Paint\", \"Clip\" {{\n\t\tType: \"Clip\"\n\t\tFilename: \"C:\\paint.png\"\n\
+         \t\tRelativeFilename: \"..\\paint.png\"\n\t\tContent: , \"{content}\"\n\t}}\n"
+    );
+    let asset = accept("board.fbx", &ascii_fbx(&video, "\tC: \"OO\",4100,4000\n"));
+    let scene = scene(&asset);
+    let image = &scene.images[scene.materials[1].base_color_texture.expect("a texture")];
+    assert_eq!((image.name.as_str(), image.bytes.as_slice()), ("paint.png", PNG));
+    assert!(!codes(&asset).contains(&"missing_texture"));
+}
+
+#[test]
+fn fbx_instances_become_parts_of_their_own() {
+    let second = "\tModel: 2001, \"Model::Twin\", \"Mesh\" {\n\t\tVersion: 232\n\t}\n";
+    let links = "\tC: \"OO\",2001,0\n\tC: \"OO\",1000,2001\n\tC: \"OO\",3001,2001\n";
+    let asset = accept("board.fbx", &ascii_fbx(second, links));
+    let parts: Vec<_> = asset.parts.iter().map(|part| (part.name.as_str(), part.mesh, part.vertices.clone())).collect();
+    assert_eq!(parts, [("Board", 0, 0..5), ("Twin", 1, 5..10)]);
+    assert!((asset.mesh.positions[0].y - asset.mesh.positions[5].y - 1.0).abs() < 1e-9, "each has its own place");
+    assert_eq!(scene(&asset).nodes.len(), 2);
 }
 
 #[test]
