@@ -10,6 +10,7 @@ pub mod npz;
 pub mod preview;
 mod scene;
 
+pub use detect::refuse_foreign;
 pub use error::{DecodeError, ExceededLimit, Place};
 pub use limits::Limits;
 pub use scene::{Alpha, Image, ImageType, Material, Scene, SceneNode, ScenePrimitive};
