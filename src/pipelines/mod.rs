@@ -73,7 +73,7 @@ pub enum Symmetry {
 
 /// How finely to place joints.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Granularity {
+pub enum LevelOfDetail {
     /// 0 (few joints) to 1 (many); more detail never gives fewer joints.
     Detail(f64),
     /// The mean-shift bandwidth h of Eq. 6 itself, in the normalised frame.
@@ -84,7 +84,7 @@ pub enum Granularity {
 #[derive(Clone, Debug, PartialEq)]
 pub struct RigOptions {
     pub method: Method,
-    pub granularity: Granularity,
+    pub level_of_detail: LevelOfDetail,
     pub symmetry: Symmetry,
     /// Most joints that may move one vertex, 1 to 8.
     pub max_influences: usize,
@@ -96,7 +96,7 @@ impl Default for RigOptions {
     fn default() -> Self {
         Self {
             method: Method::RigNet,
-            granularity: Granularity::Detail(0.5),
+            level_of_detail: LevelOfDetail::Detail(0.5),
             symmetry: Symmetry::Auto,
             max_influences: 4,
             seed: 0,

@@ -39,7 +39,7 @@ pub fn telling_pose(joints: &[DVec3], skeleton: &Skeleton) -> Vec<DQuat> {
     let arm_side = arm.map_or(0.0, |arm| arm.reach.x.signum());
     let reachable = |limb: &&Limb| joints[limb.joints[0]].x * arm_side <= 1e-6;
     let legs: Vec<&Limb> = limbs.iter().filter(downwards).collect();
-    let leg = legs.iter().copied().filter(|leg| reachable(&leg)).max_by(|a, b| longest(&a, &b));
+    let leg = legs.iter().copied().filter(|leg| reachable(leg)).max_by(|a, b| longest(a, b));
     if let Some(leg) = leg.or(legs.first().copied()) {
         rotations[leg.joints[0]] = DQuat::from_rotation_x(-HIP_DEGREES.to_radians());
         rotations[leg.joints[knee(leg, joints)]] = DQuat::from_rotation_x(KNEE_DEGREES.to_radians());
