@@ -33,7 +33,7 @@ impl Shape {
         let samples = SurfaceSamples::new(&mesh, SAMPLE_COUNT);
         let surface = Bvh::new(&mesh);
         let symmetry = detect_symmetry_plane(&samples, &surface);
-        let surface_distance = SurfaceGeodesic::new(samples, &mesh.positions);
+        let surface_distance = SurfaceGeodesic::new(&samples, &mesh.positions);
         let geodesic_ball = surface_distance.balls(BALL_RADIUS);
         let (one_ring, solid) = (one_ring(&mesh), VoxelGrid::solid(&mesh));
         Self { mesh, one_ring, geodesic_ball, surface_distance, surface, solid, symmetry }
