@@ -25,6 +25,7 @@ mod text;
 mod textures;
 mod zip_directory;
 
+pub use detect::refuse_foreign;
 pub use error::{DecodeError, ExceededLimit, Place};
 pub use limits::Limits;
 pub use scene::{Alpha, Image, ImageType, Material, Scene, SceneNode, ScenePrimitive};
