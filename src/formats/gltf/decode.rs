@@ -35,7 +35,7 @@ pub fn decode(
     check_list_lengths(&json, limits)?;
     let folder = file_name.rfind('/').map_or("", |slash| &file_name[..=slash]);
     let used = Cell::new(bytes.len() as u64);
-    let sources = Sources { chunk: container.binary, siblings, folder, limits, used };
+    let sources = Sources { is_glb: container::is_glb(bytes), chunk: container.binary, siblings, folder, limits, used };
     let mut binary = load(&mut json, &sources)?;
     let mut findings = embed_images(&mut json, &mut binary, &sources, options)?;
     document::drop_draco(&mut json)?;
