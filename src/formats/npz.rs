@@ -95,9 +95,11 @@ impl Array {
 fn read_array(npy: &[u8]) -> Result<Option<Array>, String> {
     let open = || npyz::NpyFile::new(npy).map_err(|error| error.to_string());
     let shape = open()?.shape().iter().map(|&n| n as usize).collect();
-    fn all<T: npyz::Deserialize>(file: npyz::NpyFile<&[u8]>) -> Option<Result<Vec<T>, String>> {
-        let reader = file.data::<T>().ok()?;
-        Some(reader.collect::<Result<Vec<T>, _>>().map_err(|error| error.to_string()))
+    fn all<T: npyz::Deserialize + Copy>(file: npyz::NpyFile<&[u8]>) -> Option<Result<Vec<T>, String>> {
+        let shape: Vec<usize> = file.shape().iter().map(|&n| n as usize).collect();
+        let fortran = file.order() == npyz::Order::Fortran;
+        let values = file.data::<T>().ok()?.collect::<Result<Vec<T>, _>>().map_err(|error| error.to_string());
+        Some(values.map(|values| if fortran { from_fortran_order(&values, &shape) } else { values }))
     }
     let values = if let Some(values) = all::<f32>(open()?) {
         Values::F32(values?)
@@ -117,6 +119,20 @@ fn read_array(npy: &[u8]) -> Result<Option<Array>, String> {
         return Ok(None);
     };
     Ok(Some(Array { shape, values }))
+}
+
+/// Values whose first index runs fastest (NumPy saves transposed arrays so), in C order.
+fn from_fortran_order<T: Copy>(values: &[T], shape: &[usize]) -> Vec<T> {
+    let place = |at: usize| {
+        let (mut rest, mut stride, mut place) = (at, values.len(), 0);
+        for &side in shape.iter().rev() {
+            stride /= side;
+            place += rest % side * stride;
+            rest /= side;
+        }
+        place
+    };
+    (0..values.len()).map(|at| values[place(at)]).collect()
 }
 
 fn write_array(array: &Array) -> std::io::Result<Vec<u8>> {
@@ -152,6 +168,14 @@ mod tests {
         let bytes = arrays.write().expect("writes");
         assert_eq!(Arrays::read(&bytes).expect("reads"), arrays);
         assert_eq!(bytes, arrays.write().expect("writes again"));
+    }
+
+    #[test]
+    fn arrays_saved_in_fortran_order_are_read_in_c_order() {
+        // [2, 3, 2], value 100 i + 10 j + k; the first index runs fastest.
+        let stored: Vec<i32> = (0..12).map(|at| 100 * (at % 2) + 10 * (at / 2 % 3) + at / 6).collect();
+        let expected: Vec<i32> = (0..12).map(|at| 100 * (at / 6) + 10 * (at / 2 % 3) + at % 2).collect();
+        assert_eq!(from_fortran_order(&stored, &[2, 3, 2]), expected);
     }
 
     #[test]

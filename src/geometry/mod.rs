@@ -5,8 +5,10 @@
 
 pub mod bone_pairs;
 pub mod bvh;
+pub mod close_pairs;
 pub mod neighbor_table;
 pub mod orientation;
+pub mod point_tree;
 pub mod surface_geodesic;
 pub mod surface_samples;
 pub mod symmetry_plane;

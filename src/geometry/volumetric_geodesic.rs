@@ -1,4 +1,17 @@
-//! Distance from vertices to bones through the inside. RigNet [Xu et al. 2020], Section 4.3 ("volumetric geodesic distance").
+//! Distance from vertices to bones through the inside. RigNet [Xu et al. 2020], Section 4.3 ("volumetric geodesic
+//! distance"); constants of the published code.
+//!
+//! | in         | shape       | unit       |
+//! |------------|-------------|------------|
+//! | `vertices` | `[V, 3]`    | normalised |
+//! | `bones`    | `[B, 2, 3]` | normalised |
+//!
+//! Out: `[V, B]`, row-major, normalised. A vertex that a bone sees is as far from it as the straight line; any other is as
+//! far as the seen vertex nearest along the surface, plus the way there. A bone that sees no vertex measures straight.
+//! # Departures from the published code
+//! - All vertices, on all faces: no vertex copies another's row, no ray is cast on a decimation.
+//! - The first hit of a ray is not looked for: any hit nearer than the vertex hides it. They differ only when a ray
+//!   misses every face of its own vertex by rounding.
 
 use super::bvh::Bvh;
 use super::surface_geodesic::SurfaceGeodesic;
@@ -8,50 +21,104 @@ use rayon::prelude::*;
 /// The two ends of a bone; equal for a leaf bone.
 pub type Segment = (DVec3, DVec3);
 
-/// Euclidean distance from every vertex to every bone, `[V, B]` row-major.
-pub fn bone_euclid(vertices: &[DVec3], bones: &[Segment]) -> Vec<f32> {
-    vertices
-        .iter()
-        .flat_map(|&v| bones.iter().map(move |&bone| v.distance(nearest_on_segment(v, bone)) as f32))
-        .collect()
-}
+/// A hit this near to the vertex is the vertex's own surface.
+const OWN_SURFACE: f64 = 1e-4;
+/// A bone shorter than the root of this is a point.
+const POINT_SQUARED: f64 = 1e-8;
+/// The share of seen vertices that sets a bone's reach ...
+const REACH_QUANTILE: f64 = 0.15;
+/// ... and how much farther than their farthest the bone still sees.
+const REACH_FACTOR: f64 = 1.3;
 
-/// The point of a bone nearest to `point`; the start for a bone shorter than 1e-4.
-pub fn nearest_on_segment(point: DVec3, (start, end): Segment) -> DVec3 {
-    let along = end - start;
-    let squared = along.length_squared();
-    if squared < 1e-8 {
-        return start;
-    }
-    start + along * ((point - start).dot(along) / squared).clamp(0.0, 1.0)
-}
-
-/// Volumetric geodesic distance from every vertex to every bone, `[V, B]` row-major, normalised units.
+/// Volumetric geodesic distance from every vertex to every bone, `[V, B]`.
 pub fn volumetric_geodesic_distance(
     vertices: &[DVec3],
     surface_distance: &SurfaceGeodesic,
     surface: &Bvh,
     bones: &[Segment],
 ) -> Vec<f32> {
-    let columns: Vec<Vec<f32>> =
-        bones.par_iter().map(|&bone| distances_to_bone(vertices, surface_distance, surface, bone)).collect();
-    (0..vertices.len()).flat_map(|vertex| columns.iter().map(move |column| column[vertex])).collect()
+    distance_given_visibility(vertices, surface_distance, bones, &bone_visibility(vertices, surface, bones))
 }
 
-fn distances_to_bone(vertices: &[DVec3], surface_distance: &SurfaceGeodesic, surface: &Bvh, bone: Segment) -> Vec<f32> {
-    let euclid: Vec<f64> = vertices.iter().map(|&v| v.distance(nearest_on_segment(v, bone))).collect();
-    let sees: Vec<u32> = (0..vertices.len())
-        .filter(|&v| is_visible(nearest_on_segment(vertices[v], bone), vertices[v], surface))
-        .map(|v| v as u32)
-        .collect();
-    if sees.is_empty() {
-        return euclid.into_iter().map(|distance| distance as f32).collect();
+/// The same from what each bone sees: `visible` `[V, B]`, before the limit of reach.
+pub fn distance_given_visibility(
+    vertices: &[DVec3],
+    surface_distance: &SurfaceGeodesic,
+    bones: &[Segment],
+    visible: &[bool],
+) -> Vec<f32> {
+    let distance_to = |(index, &bone): (usize, &Segment)| {
+        let euclid: Vec<f64> = vertices.iter().map(|&v| v.distance(nearest_on_segment(v, bone))).collect();
+        let seen = (0..vertices.len() as u32).filter(|&v| visible[v as usize * bones.len() + index]).collect();
+        distances_around(surface_distance, &euclid, &within_reach(seen, &euclid))
+    };
+    by_vertex(vertices.len(), &bones.par_iter().enumerate().map(distance_to).collect::<Vec<_>>())
+}
+
+/// Euclidean distance from every vertex to every bone, `[V, B]`.
+pub fn bone_euclid(vertices: &[DVec3], bones: &[Segment]) -> Vec<f32> {
+    let straight =
+        |vertex: DVec3| bones.iter().map(move |&bone| vertex.distance(nearest_on_segment(vertex, bone)) as f32);
+    vertices.iter().flat_map(|&vertex| straight(vertex)).collect()
+}
+
+/// Whether each vertex can be seen from the nearest point of each bone, `[V, B]`, before the limit of reach.
+pub fn bone_visibility(vertices: &[DVec3], surface: &Bvh, bones: &[Segment]) -> Vec<bool> {
+    let sees = |vertex: DVec3| move |&bone: &Segment| is_visible(nearest_on_segment(vertex, bone), vertex, surface);
+    vertices.par_iter().flat_map_iter(|&vertex| bones.iter().map(sees(vertex))).collect()
+}
+
+/// The point of a bone nearest to `point`; the start for a bone shorter than 1e-4.
+pub fn nearest_on_segment(point: DVec3, (start, end): Segment) -> DVec3 {
+    let along = end - start;
+    let squared = along.length_squared();
+    if squared < POINT_SQUARED {
+        return start;
     }
-    let nearest = surface_distance.nearest_sources(&sees);
-    nearest.iter().map(|&(source, distance)| (distance + euclid[source as usize]) as f32).collect()
+    start + along * ((point - start).dot(along) / squared).clamp(0.0, 1.0)
 }
 
 fn is_visible(from: DVec3, to: DVec3, surface: &Bvh) -> bool {
     let length = from.distance(to);
-    length <= 1e-4 || !surface.any_hit(from, (to - from) / length, length - 1e-4)
+    length <= OWN_SURFACE || !surface.any_hit(from, (to - from) / length, length - OWN_SURFACE)
+}
+
+/// The seen vertices that lie within [`REACH_FACTOR`] times the [`REACH_QUANTILE`] of all seen distances.
+fn within_reach(mut seen: Vec<u32>, euclid: &[f64]) -> Vec<u32> {
+    let mut distances: Vec<f64> = seen.iter().map(|&v| euclid[v as usize]).collect();
+    if let Some(typical) = quantile(&mut distances, REACH_QUANTILE) {
+        seen.retain(|&v| euclid[v as usize] <= REACH_FACTOR * typical);
+    }
+    seen
+}
+
+/// Straight for seen vertices, along the surface for the rest. `[V]`
+fn distances_around(surface_distance: &SurfaceGeodesic, euclid: &[f64], seen: &[u32]) -> Vec<f32> {
+    let mut distances: Vec<f32> = if seen.is_empty() {
+        euclid.iter().map(|&distance| distance as f32).collect()
+    } else {
+        let nearest = surface_distance.nearest_sources(seen).into_iter();
+        nearest.map(|nearest| (nearest.distance + euclid[nearest.source as usize]) as f32).collect()
+    };
+    for &vertex in seen {
+        distances[vertex as usize] = euclid[vertex as usize] as f32;
+    }
+    distances
+}
+
+/// The quantile of `values` by linear interpolation between the two nearest; `None` without values.
+fn quantile(values: &mut [f64], share: f64) -> Option<f64> {
+    let at = share * values.len().checked_sub(1)? as f64;
+    let (_, &mut low, above) = values.select_nth_unstable_by(at as usize, f64::total_cmp);
+    let high = above.iter().copied().min_by(f64::total_cmp).unwrap_or(low);
+    Some(low + (high - low) * at.fract())
+}
+
+/// Columns `[B, V]` to rows `[V, B]`.
+fn by_vertex(vertex_count: usize, columns: &[Vec<f32>]) -> Vec<f32> {
+    let mut rows = Vec::with_capacity(vertex_count * columns.len());
+    for vertex in 0..vertex_count {
+        rows.extend(columns.iter().map(|column| column[vertex]));
+    }
+    rows
 }

@@ -2,6 +2,8 @@
 //! has one name, one range and one message everywhere.
 
 use crate::formats::Axis;
+pub use crate::formats::ExistingRigPolicy;
+pub use crate::pipelines::{LevelOfDetail, Symmetry};
 use serde_json::Value;
 use std::fmt;
 use std::ops::RangeInclusive;
@@ -45,33 +47,6 @@ impl Default for RigOptions {
             outputs: vec![Output::Glb, Output::RigJson],
         }
     }
-}
-
-/// How many joints are wanted: by a number that everybody understands, or by RigNet's own.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum LevelOfDetail {
-    /// 0 (few joints) to 1 (many).
-    Detail(f64),
-    /// Bandwidth of the mean shift, in the normalised frame; larger means fewer joints.
-    Bandwidth(f64),
-}
-
-/// Whether the rig is made symmetric about a detected plane.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Symmetry {
-    /// When the mesh is.
-    Auto,
-    On,
-    Off,
-}
-
-/// What to do with a file that already has a skeleton.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ExistingRigPolicy {
-    /// Refuse, and say how to go on.
-    Reject,
-    /// Remove skeleton and weights, and make new ones.
-    Replace,
 }
 
 /// A file to make.
@@ -197,7 +172,7 @@ const SHOWN_CHARACTERS_MAX: usize = 60;
 const ERRORS_MAX: usize = 20;
 
 /// Collects fields from any number of places, then gives the options or every refusal at once.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub struct OptionsReader {
     options: RigOptions,
     seen: Vec<&'static str>,

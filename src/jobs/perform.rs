@@ -74,6 +74,8 @@ pub struct MethodInfo {
     /// Licence of the weights.
     pub licence: String,
     pub models: Vec<ModelInfo>,
+    /// What an upload may have at most, as in `("faces", 2_000_000)`.
+    pub limits: Vec<(&'static str, u64)>,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq)]

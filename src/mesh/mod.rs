@@ -6,6 +6,7 @@
 use glam::DVec3;
 
 pub mod adjacency;
+pub mod face_orientation;
 pub mod normalize;
 pub mod weld;
 pub mod working_mesh;

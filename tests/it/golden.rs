@@ -5,6 +5,7 @@
 
 use glam::DVec3;
 use rigsmith::formats::npz::{Array, Arrays};
+use rigsmith::mesh::Mesh;
 use std::path::{Path, PathBuf};
 
 /// All arrays of one `*_golden.npz`.
@@ -12,6 +13,13 @@ pub struct Case {
     /// File name without `_golden.npz`.
     pub id: String,
     arrays: Arrays,
+    folder: PathBuf,
+}
+
+/// Where the golden vectors are, or would be.
+pub fn folder() -> PathBuf {
+    std::env::var_os("RIGSMITH_GOLDEN_DIR")
+        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/golden"), PathBuf::from)
 }
 
 /// Every case of the golden folder, sorted by id; empty (and said so on stderr) when the folder is not there.
@@ -35,7 +43,28 @@ impl Case {
     fn read(path: &Path) -> Self {
         let name = path.file_name().expect("file name").to_string_lossy();
         let arrays = Arrays::read(&std::fs::read(path).expect("golden file reads")).expect("golden file is npz");
-        Self { id: name.trim_end_matches("_golden.npz").to_owned(), arrays }
+        let folder = path.parent().expect("a folder").to_owned();
+        Self { id: name.trim_end_matches("_golden.npz").to_owned(), arrays, folder }
+    }
+
+    /// The mesh before remeshing, in raw coordinates and double precision, if the case has one.
+    pub fn original_mesh(&self) -> Option<Mesh> {
+        let text = std::fs::read_to_string(self.folder.join(format!("{}_ori.obj", self.id))).ok()?;
+        let mut mesh = Mesh::default();
+        for line in text.lines() {
+            let words: Vec<&str> = line.split_whitespace().collect();
+            let number = |word: &str| word.parse::<f64>().expect("a coordinate");
+            let corner = |word: &str| word.split('/').next().and_then(|v| v.parse::<u32>().ok()).expect("a corner") - 1;
+            match words[..] {
+                ["v", x, y, z, ..] => mesh.positions.push(DVec3::new(number(x), number(y), number(z))),
+                ["f", first, ref others @ ..] => {
+                    let fan = others.windows(2).map(|pair| [first, pair[0], pair[1]].map(corner));
+                    mesh.triangles.extend(fan);
+                }
+                _ => {}
+            }
+        }
+        Some(mesh)
     }
 
     fn array(&self, name: &str) -> &Array {
