@@ -380,23 +380,42 @@ impl<'a> Statements<'a> {
     ) -> Result<(), DecodeError> {
         let mut textures = Textures::new(siblings, options, self.limits);
         let mut defined = MaterialLibrary::default();
-        for names in &self.libraries {
-            // A name may hold blanks, and a line may hold several names; the whole line is tried first.
-            if let Some(bytes) = siblings::find(siblings, "", names) {
-                mtl::read(&bytes, names, &self.materials.names, &mut defined, self.limits)?;
-                continue;
-            }
-            for name in names.split_whitespace() {
-                match siblings::find(siblings, "", name) {
-                    Some(bytes) => mtl::read(&bytes, name, &self.materials.names, &mut defined, self.limits)?,
-                    None => findings.push(missing_library(name)),
-                }
-            }
+        for line in &self.libraries {
+            self.read_libraries(line, siblings, &mut defined, findings)?;
         }
         for name in &self.materials.names {
             scene.materials.push(defined.material(name, &mut textures)?);
         }
         (scene.images, *findings) = textures.finish(std::mem::take(findings));
+        Ok(())
+    }
+}
+
+impl Statements<'_> {
+    /// Reads the libraries that one `mtllib` line names. A name may hold blanks, and a line may hold several names, so
+    /// the whole line is tried first.
+    fn read_libraries(
+        &self,
+        line: &str,
+        siblings: &dyn Siblings,
+        defined: &mut MaterialLibrary,
+        findings: &mut Vec<Finding>,
+    ) -> Result<(), DecodeError> {
+        let used = &self.materials.names;
+        if let Some(bytes) = siblings::find(siblings, "", line) {
+            return mtl::read(&bytes, line, used, defined, self.limits);
+        }
+        let mut missing = Vec::new();
+        let mut names = 0;
+        for name in line.split_whitespace() {
+            names += 1;
+            match siblings::find(siblings, "", name) {
+                Some(bytes) => mtl::read(&bytes, name, used, defined, self.limits)?,
+                None => missing.push(name),
+            }
+        }
+        let missing = if missing.len() == names { vec![line] } else { missing };
+        findings.extend(missing.into_iter().map(missing_library));
         Ok(())
     }
 }
