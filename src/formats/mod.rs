@@ -17,6 +17,8 @@ pub mod ply;
 mod ply_header;
 mod polygon;
 pub mod preview;
+pub mod rig_json;
+pub mod rignet_text;
 mod scene;
 mod scene_builder;
 mod siblings;
@@ -26,6 +28,7 @@ mod text;
 mod textures;
 mod zip_directory;
 
+pub use detect::refuse_foreign;
 pub use error::{DecodeError, ExceededLimit, Place};
 pub use limits::Limits;
 pub use scene::{Alpha, Image, ImageType, Material, Scene, SceneNode, ScenePrimitive};

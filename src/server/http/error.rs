@@ -3,6 +3,7 @@
 //! An [`ApiError`] travels in the extensions of an empty response; [`super::outermost`] writes the body, since it
 //! knows the request.
 
+use crate::formats::ExceededLimit;
 use crate::jobs::{Denied, ErrorCode, FieldError, FieldProblem, JobError, Refusal};
 use crate::storage::StoreError;
 use axum::http::{HeaderName, HeaderValue, StatusCode, header};
@@ -144,6 +145,12 @@ pub struct Limit {
     pub actual: Option<u64>,
 }
 
+impl From<ExceededLimit> for Limit {
+    fn from(limit: ExceededLimit) -> Self {
+        Self { name: limit.name, max: limit.max, actual: limit.actual }
+    }
+}
+
 impl ApiError {
     pub fn new(code: Code, detail: impl Into<String>) -> Self {
         Self { code, about: Box::new(About { detail: detail.into(), ..About::default() }) }
@@ -268,6 +275,7 @@ impl From<JobError> for ApiError {
     fn from(error: JobError) -> Self {
         let mut made = Self::new(Code::Work(error.code), error.message).hint(error.hint);
         made.about.stage = error.stage.map(|stage| stage.name());
+        made.about.limit = error.limit.map(Limit::from);
         made
     }
 }

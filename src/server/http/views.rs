@@ -1,5 +1,6 @@
 //! What goes over the wire as JSON. Built from inner types here, and nowhere else.
 
+use super::error::Limit;
 use super::timestamp::rfc3339;
 use crate::formats::{Finding, Severity};
 use crate::jobs::options::axis_name;
@@ -204,6 +205,9 @@ pub struct JobErrorView {
     /// A page about this kind of problem.
     #[schema(example = "/v1/problems/no_joints_found")]
     pub r#type: String,
+    /// The limit that was passed.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub limit: Option<Limit>,
 }
 
 #[derive(Debug, Serialize, ToSchema)]
@@ -416,6 +420,7 @@ impl From<&JobError> for JobErrorView {
             hint: Some(error.hint.clone()).filter(|hint| !hint.is_empty()),
             retryable: error.code.retryable(),
             r#type: format!("/v1/problems/{}", error.code.name()),
+            limit: error.limit.map(Limit::from),
         }
     }
 }
