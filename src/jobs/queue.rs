@@ -304,6 +304,11 @@ impl Jobs {
     pub fn stop_running(&self) {
         self.core().ledger().stop_running(Stop::Draining, None);
     }
+
+    /// Forgets every job and removes every file: nothing outlives the process yet.
+    pub fn clear(&self) {
+        self.core().ledger().clear();
+    }
 }
 
 /// The bytes of an upload, the main file first.
