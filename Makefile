@@ -23,7 +23,7 @@ run: build ## fetch ONNX Runtime, build, and start the service on http://127.0.0
 	@printf '  curl -sS --fail-with-body -o rigged.glb -H "Content-Type: model/gltf-binary" -H "Prefer: wait=60" \\\n'
 	@printf '       -H "Accept: model/gltf-binary" --data-binary @tests/fixtures/sample-character.glb \\\n'
 	@printf '       http://$(LISTEN)/v1/rigs\n\n'
-	@printf 'The description of the API is at http://$(LISTEN)/openapi.json. Stop with Ctrl-C.\n\n'
+	@printf 'The API is described at http://$(LISTEN)/ (for people) and /v1/openapi.json. Stop with Ctrl-C.\n\n'
 	@exec $(BINARY) serve --listen $(LISTEN)
 
 .PHONY: build
