@@ -16,6 +16,8 @@ pub mod ply;
 mod ply_header;
 mod polygon;
 pub mod preview;
+pub mod rig_json;
+pub mod rignet_text;
 mod scene;
 mod scene_builder;
 mod siblings;

@@ -211,6 +211,11 @@ impl Bvh {
     }
 }
 
+/// The nearest point of a triangle and its barycentric weights, in the order of the corners.
+pub fn nearest_on_triangle([a, b, c]: [DVec3; 3], point: DVec3) -> (DVec3, [f64; 3]) {
+    Triangle { corner: a, edge_1: b - a, edge_2: c - a }.nearest(point)
+}
+
 /// A triangle while the tree is built.
 struct Item {
     low: DVec3,
@@ -323,7 +328,7 @@ impl Triangle {
     fn nearest(&self, point: DVec3) -> (DVec3, [f64; 3]) {
         let (ab, ac, ap) = (self.edge_1, self.edge_2, point - self.corner);
         let (d1, d2) = (ab.dot(ap), ac.dot(ap));
-        let at = |v: f64, w: f64| (self.corner + ab * v + ac * w, [1.0 - v - w, v, w]);
+        let at = |v: f64, w: f64| (self.corner + ab * v + ac * w, [(1.0 - v - w).max(0.0), v, w]);
         if d1 <= 0.0 && d2 <= 0.0 {
             return at(0.0, 0.0);
         }
@@ -351,6 +356,6 @@ impl Triangle {
             return at(1.0 - w, w);
         }
         let all = va + vb + vc;
-        at(vb / all, vc / all)
+        if all > 0.0 { at(vb / all, vc / all) } else { at(0.0, 0.0) }
     }
 }

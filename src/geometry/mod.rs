@@ -5,6 +5,7 @@
 
 pub mod bone_pairs;
 pub mod bvh;
+pub mod close_pairs;
 pub mod neighbor_table;
 pub mod orientation;
 pub mod point_tree;

@@ -118,17 +118,17 @@ impl SurfaceGeodesic {
             sources.iter().map(|&vertex| (self.sample_of_vertex[vertex as usize], vertex)).collect();
         starts.sort_unstable();
         starts.dedup_by_key(|&mut (sample, _)| sample);
-        let mut best = self.from_starts(&starts);
-        for sample in 0..best.len() {
-            if best[sample].distance.is_infinite() {
-                best[sample] = self.straight(sample, &starts);
+        let mut best = self.shortest_paths(&starts);
+        for (sample, nearest) in best.iter_mut().enumerate() {
+            if nearest.distance.is_infinite() {
+                *nearest = self.straight(sample, &starts);
             }
         }
         self.sample_of_vertex.iter().map(|&sample| best[sample as usize]).collect()
     }
 
     /// Shortest paths from several samples at once, each with the vertex that stands for it. `[S]`
-    fn from_starts(&self, starts: &[(u32, u32)]) -> Vec<NearestSource> {
+    fn shortest_paths(&self, starts: &[(u32, u32)]) -> Vec<NearestSource> {
         let unreached = NearestSource { source: u32::MAX, distance: f64::INFINITY };
         let mut best = vec![unreached; self.sample_positions.len()];
         let mut queue = BinaryHeap::with_capacity(self.sample_positions.len());
