@@ -25,6 +25,20 @@ pub enum Stage {
     Validate,
 }
 
+impl From<crate::pipelines::Stage> for Stage {
+    fn from(stage: crate::pipelines::Stage) -> Self {
+        use crate::pipelines::Stage as Of;
+        match stage {
+            Of::Normalize => Self::Normalize,
+            Of::Geometry => Self::Geometry,
+            Of::Joints => Self::Joints,
+            Of::Connect => Self::Connect,
+            Of::Skin => Self::Skin,
+            Of::Transfer => Self::Transfer,
+        }
+    }
+}
+
 impl Stage {
     pub const ALL: [Stage; 10] = [
         Stage::Ingest,

@@ -308,7 +308,8 @@ fn normal_matrix(matrix: DMat4) -> DMat3 {
     let linear = linear(matrix);
     let (a, b, c) = (linear.x_axis, linear.y_axis, linear.z_axis);
     let cofactors = DMat3::from_cols(b.cross(c), c.cross(a), a.cross(b));
-    let longest = [cofactors.x_axis, cofactors.y_axis, cofactors.z_axis].map(DVec3::length).into_iter().fold(0.0, f64::max);
+    let longest =
+        [cofactors.x_axis, cofactors.y_axis, cofactors.z_axis].map(DVec3::length).into_iter().fold(0.0, f64::max);
     let sign = if linear.determinant() < 0.0 { -1.0 } else { 1.0 };
     if longest > 0.0 { cofactors * (sign / longest) } else { DMat3::IDENTITY }
 }

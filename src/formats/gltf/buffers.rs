@@ -18,7 +18,8 @@ const BASE64: GeneralPurpose = GeneralPurpose::new(
 );
 
 /// One white pixel, for an image that was not sent.
-const WHITE_PIXEL_PNG: &[u8] = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR\0\0\0\x01\0\0\0\x01\x08\0\0\0\0:~\x9bU\0\0\0\nIDATx\x9cc\
+const WHITE_PIXEL_PNG: &[u8] =
+    b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR\0\0\0\x01\0\0\0\x01\x08\0\0\0\0:~\x9bU\0\0\0\nIDATx\x9cc\
     \xf8\x0f\0\x01\x01\x01\0\x1b\xb6\xeeV\0\0\0\0IEND\xaeB`\x82";
 
 /// Alignment of everything in the merged buffer; the largest component has four bytes.
@@ -224,9 +225,8 @@ fn forget_images(json: &mut Value, missing: &[usize]) -> Vec<Finding> {
         return Vec::new();
     }
     let names: Vec<String> = missing.iter().map(|&image| text(&json["images"][image], "name").to_owned()).collect();
-    let is_missing = |texture: &Value| {
-        texture.get("source").and_then(index).is_some_and(|source| missing.contains(&source))
-    };
+    let is_missing =
+        |texture: &Value| texture.get("source").and_then(index).is_some_and(|source| missing.contains(&source));
     let textures: Vec<usize> = items(json, "textures")
         .iter()
         .enumerate()

@@ -98,10 +98,8 @@ fn prepare(
     tell_of_what_is_not_rigged(json, &graph, &shown, &mut findings);
 
     let edit = Edit::new(json, binary, limits);
-    let frames: Vec<(Vec<Frame>, Vec<usize>)> = shown
-        .iter()
-        .map(|&(node, mesh)| existing_rig::frames(&edit, &graph, node, mesh))
-        .collect::<Result<_, _>>()?;
+    let frames: Vec<(Vec<Frame>, Vec<usize>)> =
+        shown.iter().map(|&(node, mesh)| existing_rig::frames(&edit, &graph, node, mesh)).collect::<Result<_, _>>()?;
     match &old_rig {
         Some(_) => findings.extend(existing_rig::strip(edit.json)),
         // Attributes without a skin mean nothing, and would stand beside ours.
@@ -227,7 +225,8 @@ fn tell_of_changes(
             hint: String::new(),
         });
     }
-    let is_moved = |frames: &&(Vec<Frame>, Vec<usize>)| frames.0.iter().any(|frame| *frame != Frame::One(DMat4::IDENTITY));
+    let is_moved =
+        |frames: &&(Vec<Frame>, Vec<usize>)| frames.0.iter().any(|frame| *frame != Frame::One(DMat4::IDENTITY));
     let moved = frames.iter().filter(is_moved).count();
     if moved > 0 {
         findings.push(Finding {
@@ -321,7 +320,12 @@ fn read_mesh(
             mesh.triangles.extend(triangles::of(&corners, mode(json, &place)?).into_iter().map(|t| t.map(to_row)));
             mesh.positions.extend(positions.into_iter().map(|point| DVec3::from_array(point.map(f64::from))));
             let vertices = start..mesh.positions.len();
-            parts.push(Part { name: node_name.clone(), mesh: placed.source_mesh, primitive, vertices: vertices.clone() });
+            parts.push(Part {
+                name: node_name.clone(),
+                mesh: placed.source_mesh,
+                primitive,
+                vertices: vertices.clone(),
+            });
             let rows = vertices.map(|row| row as u32).collect();
             skinned.push(SkinnedPrimitive { node: placed.node, mesh: placed.mesh, primitive, rows });
         }

@@ -207,7 +207,8 @@ fn add_weights(json: &mut Value, binary: &mut Vec<u8>, document: &Document, slot
     }
     let mut written: Vec<Written> = Vec::new();
     for primitive in &document.skinned {
-        let position = json["meshes"][primitive.mesh]["primitives"][primitive.primitive]["attributes"]["POSITION"].clone();
+        let position =
+            json["meshes"][primitive.mesh]["primitives"][primitive.primitive]["attributes"]["POSITION"].clone();
         for set in 0..slots.sets {
             let joints = slots.joint_bytes(&primitive.rows, set);
             let weights = slots.weight_bytes(&primitive.rows, set);

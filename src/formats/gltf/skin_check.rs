@@ -93,9 +93,8 @@ impl Checker<'_> {
             let here = [0, 1, 2].map(|axis| above[axis] + translation[axis]);
             rest.insert(*joint, here);
             let upper = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0];
-            let is_inverse = (0..3).all(|axis| {
-                (f64::from(matrix[12 + axis]) + here[axis]).abs() <= 1e-6 * here[axis].abs().max(1.0)
-            });
+            let is_inverse = (0..3)
+                .all(|axis| (f64::from(matrix[12 + axis]) + here[axis]).abs() <= 1e-6 * here[axis].abs().max(1.0));
             if matrix[..12] != upper || matrix[15] != 1.0 || !is_inverse {
                 return fault("ACCESSOR_INVALID_IBM", place);
             }
