@@ -12,6 +12,7 @@
 //! of them share.
 
 pub mod cancellation;
+pub mod config;
 pub mod formats;
 pub mod geometry;
 pub mod jobs;
@@ -21,3 +22,4 @@ pub mod pipelines;
 pub mod rig;
 pub mod server;
 pub mod storage;
+pub mod telemetry;

@@ -55,8 +55,7 @@ pub fn decode(
         format: Format::Fbx,
         mesh: Mesh { positions: geometry.positions, triangles },
         parts: geometry.parts,
-        axes: (scene.settings.axes.up == CoordinateAxis::PositiveY)
-            .then_some(Axes { up: Axis::PosY, front: Axis::PosZ }),
+        axes: (scene.settings.axes.up != CoordinateAxis::Unknown).then_some(Axes { up: Axis::PosY, front: Axis::PosZ }),
         existing_rig: (skins + joints > 0).then_some(ExistingRig { skins, joints }),
         findings,
         source: Source::Scene(decoded),
@@ -135,12 +134,11 @@ fn check_scene(scene: &ufbx::Scene, limits: &Limits) -> Result<(), DecodeError> 
 }
 
 fn space_finding(scene: &ufbx::Scene) -> Option<Finding> {
-    let unit = scene.settings.original_unit_meters;
-    let up = scene.settings.original_axis_up;
-    (up != CoordinateAxis::PositiveY || unit != 1.0).then(|| Finding {
+    let (axes, unit) = (scene.settings.axes, scene.settings.unit_meters);
+    (axes.up != CoordinateAxis::PositiveY || unit != 1.0).then(|| Finding {
         code: "converted_space",
         severity: Severity::Info,
-        message: format!("the file's space (up {up:?}, unit {unit} m) was converted to y up and metres"),
+        message: format!("the file's space (up {:?}, unit {unit} m) was converted to y up and metres", axes.up),
         hint: String::new(),
     })
 }

@@ -126,7 +126,8 @@ impl Definition {
             b"map_ke" => self.emissive_map = map(),
             b"norm" => self.normal_map = map(),
             b"map_bump" | b"bump" => {
-                self.normal_map = map().filter(|name| name.to_ascii_lowercase().contains("normal"));
+                let normals = map().filter(|name| name.to_ascii_lowercase().contains("normal"));
+                self.normal_map = normals.or(self.normal_map.take());
             }
             _ => {}
         }

@@ -1,1 +1,18 @@
 //! Facts about a shape: neighbourhoods, distances, voxels, symmetry. Pure functions of meshes; no I/O.
+//!
+//! Everything here works in the normalised frame of [`crate::mesh::normalize`] unless it says otherwise; the same input
+//! gives the same output for any number of threads.
+
+pub mod bone_pairs;
+pub mod bvh;
+pub mod close_pairs;
+pub mod neighbor_table;
+pub mod orientation;
+pub mod place_hash;
+pub mod point_tree;
+pub mod surface_geodesic;
+pub mod surface_samples;
+pub mod symmetry_plane;
+pub mod transfer;
+pub mod volumetric_geodesic;
+pub mod voxel_grid;

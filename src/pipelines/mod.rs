@@ -1,1 +1,224 @@
 //! The published methods, one file each, composed from mesh, geometry, nets and rig.
+
+pub mod rignet;
+pub mod shape;
+pub mod survey;
+
+pub use crate::geometry::orientation;
+
+use crate::cancellation::{Cancellation, Cancelled};
+use crate::mesh::Mesh;
+pub use crate::nets::{LoadOptions, Models, NetError};
+use crate::rig::Rig;
+use crate::rig::detect_joints::DetectJointsError;
+pub use crate::rig::detect_joints::Fineness as LevelOfDetail;
+use glam::{DMat3, DVec3};
+
+/// A published way to make a rig.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Method {
+    /// Mesh graph networks; any character [Xu et al. 2020].
+    RigNet,
+}
+
+impl Method {
+    pub const ALL: [Self; 1] = [Self::RigNet];
+
+    /// The name in requests, reports and file names.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::RigNet => "rignet",
+        }
+    }
+
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|method| method.name() == name)
+    }
+}
+
+/// What a method is doing; the same words in job status, traces and benchmarks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Stage {
+    Normalize,
+    Geometry,
+    Joints,
+    Connect,
+    Skin,
+    Transfer,
+}
+
+impl Stage {
+    pub const ALL: [Self; 6] =
+        [Self::Normalize, Self::Geometry, Self::Joints, Self::Connect, Self::Skin, Self::Transfer];
+
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Normalize => "normalize",
+            Self::Geometry => "geometry",
+            Self::Joints => "joints",
+            Self::Connect => "connect",
+            Self::Skin => "skin",
+            Self::Transfer => "transfer",
+        }
+    }
+}
+
+/// Whether left and right are made alike.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Symmetry {
+    /// Where a symmetry plane is found with enough confidence.
+    #[default]
+    Auto,
+    /// About the best plane there is.
+    On,
+    Off,
+}
+
+/// What the caller may choose.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RigOptions {
+    pub method: Method,
+    pub level_of_detail: LevelOfDetail,
+    pub symmetry: Symmetry,
+    /// Most joints that may move one vertex, 1 to 8.
+    pub max_influences: usize,
+    /// Fixes every choice that is not decided by the mesh.
+    pub seed: u64,
+}
+
+impl Default for RigOptions {
+    fn default() -> Self {
+        Self {
+            method: Method::RigNet,
+            level_of_detail: LevelOfDetail::Detail(0.5),
+            symmetry: Symmetry::Auto,
+            max_influences: 4,
+            seed: 0,
+        }
+    }
+}
+
+/// A mesh to rig and which way it stands.
+#[derive(Clone, Copy, Debug)]
+pub struct Subject<'a> {
+    /// In upload space.
+    pub mesh: &'a Mesh,
+    /// Turns upload space so that y is up and the character faces +z. A rotation, or a reflection for left-handed
+    /// uploads.
+    pub to_upright: DMat3,
+}
+
+/// How the work is watched and stopped from outside.
+#[derive(Clone, Copy)]
+pub struct Watch<'a> {
+    pub cancellation: &'a Cancellation,
+    /// Told when a stage begins.
+    pub on_stage: &'a (dyn Fn(Stage) + Sync),
+}
+
+impl Watch<'_> {
+    /// Begins a stage, unless the work was cancelled.
+    pub fn enter(&self, stage: Stage) -> Result<(), RigError> {
+        self.cancellation.check()?;
+        (self.on_stage)(stage);
+        Ok(())
+    }
+}
+
+/// A rig in upload space and what was decided on the way.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Rigged {
+    pub rig: Rig,
+    pub facts: Facts,
+}
+
+/// What was found and decided, for the report.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Facts {
+    pub working_vertices: usize,
+    pub working_triangles: usize,
+    /// Unit normal and a point of the mirror plane in upload space, where one was used.
+    pub symmetry_plane: Option<(DVec3, DVec3)>,
+    /// 0 to 1: how well the best vertical plane mirrors the shape.
+    pub symmetry_score: f64,
+    /// The mean-shift bandwidth that was used, in the normalised frame.
+    pub bandwidth: f64,
+    /// Share of joints inside the solid.
+    pub joints_inside: f64,
+    /// Vertices that no bone's weights reached; they follow the nearest bone.
+    pub vertices_by_nearest_bone: usize,
+}
+
+/// Why this mesh was not rigged.
+#[derive(Debug, thiserror::Error)]
+pub enum RigError {
+    #[error("the mesh has no extent: all its vertices are at one place")]
+    NoExtent,
+    #[error("no joints were found: {tried}")]
+    NoJointsFound { tried: String },
+    #[error("method {method} is not available: {reason}")]
+    MethodUnavailable { method: &'static str, reason: String },
+    #[error(transparent)]
+    Net(NetError),
+    #[error(transparent)]
+    Cancelled(#[from] Cancelled),
+}
+
+impl From<NetError> for RigError {
+    fn from(error: NetError) -> Self {
+        match error {
+            NetError::Cancelled(cancelled) => Self::Cancelled(cancelled),
+            other => Self::Net(other),
+        }
+    }
+}
+
+impl From<DetectJointsError> for RigError {
+    fn from(error: DetectJointsError) -> Self {
+        match error {
+            DetectJointsError::NotFound { tried } => Self::NoJointsFound { tried },
+            DetectJointsError::Cancelled(cancelled) => Self::Cancelled(cancelled),
+        }
+    }
+}
+
+impl RigError {
+    /// The stable code of `user-expectations` for errors of a job.
+    pub fn code(&self) -> &'static str {
+        match self {
+            Self::NoExtent => "no_geometry",
+            Self::NoJointsFound { .. } => "no_joints_found",
+            Self::MethodUnavailable { .. } => "model_unavailable",
+            Self::Net(NetError::NotFinite { .. }) => "numerical_failure",
+            Self::Net(_) => "internal",
+            Self::Cancelled(_) => "canceled",
+        }
+    }
+
+    /// The next step for the sender; empty where there is none.
+    pub fn hint(&self) -> &'static str {
+        match self {
+            Self::NoExtent => "export the mesh again and check its scale",
+            Self::NoJointsFound { .. } => "try a higher `detail`, or check that the mesh is one character, upright",
+            Self::MethodUnavailable { .. } => "see GET /v1/methods or `rigsmith methods` for what runs here",
+            Self::Net(error) => error.hint(),
+            Self::Cancelled(_) => "",
+        }
+    }
+}
+
+/// Rigs `subject` by the method that `options` name.
+pub fn rig(subject: Subject, models: &Models, options: &RigOptions, watch: Watch) -> Result<Rigged, RigError> {
+    let unavailable =
+        |reason: &str| RigError::MethodUnavailable { method: options.method.name(), reason: reason.to_owned() };
+    match options.method {
+        Method::RigNet => rignet::rig(subject, models.rignet().map_err(unavailable)?, options, watch),
+    }
+}
+
+/// Why `method` cannot run here; `None` when it can.
+pub fn unavailable(method: Method, models: &Models) -> Option<String> {
+    match method {
+        Method::RigNet => models.rignet().err().map(str::to_owned),
+    }
+}

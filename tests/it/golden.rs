@@ -4,21 +4,22 @@
 //! is a case. Its README gives names, shapes and fair tolerances. Without the folder the tests say they were skipped.
 
 use glam::DVec3;
-use std::collections::HashMap;
-use std::io::Read;
+use rigsmith::formats::npz::{Array, Arrays};
+use rigsmith::mesh::Mesh;
 use std::path::{Path, PathBuf};
-
-/// One array of a case: shape and raw `.npy` bytes.
-struct Array {
-    shape: Vec<usize>,
-    npy: Vec<u8>,
-}
 
 /// All arrays of one `*_golden.npz`.
 pub struct Case {
     /// File name without `_golden.npz`.
     pub id: String,
-    arrays: HashMap<String, Array>,
+    arrays: Arrays,
+    folder: PathBuf,
+}
+
+/// Where the golden vectors are, or would be.
+pub fn folder() -> PathBuf {
+    std::env::var_os("RIGSMITH_GOLDEN_DIR")
+        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/golden"), PathBuf::from)
 }
 
 /// Every case of the golden folder, sorted by id; empty (and said so on stderr) when the folder is not there.
@@ -40,45 +41,43 @@ pub fn cases() -> Vec<Case> {
 
 impl Case {
     fn read(path: &Path) -> Self {
-        let file = std::fs::File::open(path).expect("golden file opens");
-        let mut archive = zip::ZipArchive::new(file).expect("npz is a zip");
-        let mut arrays = HashMap::new();
-        for index in 0..archive.len() {
-            let mut entry = archive.by_index(index).expect("zip entry");
-            let name = entry.name().trim_end_matches(".npy").to_owned();
-            let mut npy = Vec::new();
-            entry.read_to_end(&mut npy).expect("zip entry reads");
-            let shape = npyz::NpyFile::new(&npy[..]).expect("npy header").shape().iter().map(|&n| n as usize).collect();
-            arrays.insert(name, Array { shape, npy });
-        }
         let name = path.file_name().expect("file name").to_string_lossy();
-        Self { id: name.trim_end_matches("_golden.npz").to_owned(), arrays }
+        let arrays = Arrays::read(&std::fs::read(path).expect("golden file reads")).expect("golden file is npz");
+        let folder = path.parent().expect("a folder").to_owned();
+        Self { id: name.trim_end_matches("_golden.npz").to_owned(), arrays, folder }
+    }
+
+    /// The mesh before remeshing, in raw coordinates and double precision, if the case has one.
+    pub fn original_mesh(&self) -> Option<Mesh> {
+        let text = std::fs::read_to_string(self.folder.join(format!("{}_ori.obj", self.id))).ok()?;
+        let mut mesh = Mesh::default();
+        for line in text.lines() {
+            let words: Vec<&str> = line.split_whitespace().collect();
+            let number = |word: &str| word.parse::<f64>().expect("a coordinate");
+            let corner = |word: &str| word.split('/').next().and_then(|v| v.parse::<u32>().ok()).expect("a corner") - 1;
+            match words[..] {
+                ["v", x, y, z, ..] => mesh.positions.push(DVec3::new(number(x), number(y), number(z))),
+                ["f", first, ref others @ ..] => {
+                    let fan = others.windows(2).map(|pair| [first, pair[0], pair[1]].map(corner));
+                    mesh.triangles.extend(fan);
+                }
+                _ => {}
+            }
+        }
+        Some(mesh)
     }
 
     fn array(&self, name: &str) -> &Array {
-        self.arrays.get(name).unwrap_or_else(|| panic!("case {} has no array {name}", self.id))
+        self.arrays.get(name).unwrap_or_else(|error| panic!("case {}: {error}", self.id))
     }
 
     pub fn shape(&self, name: &str) -> &[usize] {
         &self.array(name).shape
     }
 
-    /// The array flattened in C order. f32, f64, i32 and u8 arrays all come as f64.
+    /// The array flattened in C order.
     pub fn f64s(&self, name: &str) -> Vec<f64> {
-        let npy = &self.array(name).npy[..];
-        let file = || npyz::NpyFile::new(npy).expect("npy header");
-        if let Ok(data) = file().data::<f64>() {
-            data.map(|value| value.expect("f64")).collect()
-        } else if let Ok(data) = file().data::<f32>() {
-            data.map(|value| f64::from(value.expect("f32"))).collect()
-        } else if let Ok(data) = file().data::<i32>() {
-            data.map(|value| f64::from(value.expect("i32"))).collect()
-        } else if let Ok(data) = file().data::<i64>() {
-            data.map(|value| value.expect("i64") as f64).collect()
-        } else {
-            let data = file().data::<u8>().expect("u8 array");
-            data.map(|value| f64::from(value.expect("u8"))).collect()
-        }
+        self.array(name).to_f64()
     }
 
     pub fn f32s(&self, name: &str) -> Vec<f32> {

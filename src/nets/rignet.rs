@@ -1,0 +1,151 @@
+//! The five networks of RigNet [Xu et al. 2020], Table 6, as typed functions.
+//!
+//! | function                | in                                                         | out                             |
+//! |-------------------------|------------------------------------------------------------|---------------------------------|
+//! | [`RigNets::displaced`]  | shape graph                                                | `[V, 3]` points near joints, Eq. 1 |
+//! | [`RigNets::attention`]  | shape graph                                                | `[V]` in 0 to 1, Eq. 2          |
+//! | [`RigNets::bone_probability`] | shape graph, joints `[J, 3]`, pairs `[P, 2]`, length and inside share `[P, 2]` | `[P]` in 0 to 1, Eq. 7 |
+//! | [`RigNets::root`]       | shape graph, joints `[J, 3]`                               | index of the root joint, Eq. 8  |
+//! | [`RigNets::skin_logits`] | shape graph, bone features `[V, 40]`, mask `[V, 5]`       | `[V, 5]` logits, Eq. 9          |
+//!
+//! All positions are in the normalised frame (y up, facing +z, longest side 1, x and z centred, lowest y 0).
+
+use super::error::NetError;
+use super::network::{Input, Network};
+use crate::cancellation::Cancellation;
+use ndarray::{Array2, ArrayD, ArrayView2, Axis, Ix1, Ix2};
+
+/// A working mesh as the networks see it.
+///
+/// Each row of a neighbour table starts with the vertex itself; short rows are padded with it, which a maximum does
+/// not notice.
+pub struct ShapeGraph {
+    /// `[V, 3]`
+    pub positions: Array2<f32>,
+    /// `[V, K]`: the vertex, and all vertices that share an edge with it.
+    pub one_ring: Array2<i64>,
+    /// `[V, K]`: the vertex, and some of those within the geodesic ball.
+    pub geodesic_ball: Array2<i64>,
+}
+
+/// The networks of RigNet, loaded and checked.
+pub struct RigNets {
+    pub(super) displacement: Network,
+    pub(super) attention: Network,
+    pub(super) bone: Network,
+    pub(super) root: Network,
+    pub(super) skin: Network,
+}
+
+impl RigNets {
+    /// File stems in the models folder, in the order of the fields.
+    pub const NETWORKS: [&str; 5] =
+        ["rignet_displacement", "rignet_attention", "rignet_bone", "rignet_root", "rignet_skin"];
+
+    /// Vertices moved toward the joints that drive them: positions + displacement, `[V, 3]`.
+    pub fn displaced(&self, graph: &ShapeGraph, cancellation: &Cancellation) -> Result<Array2<f32>, NetError> {
+        let displacement = self.displacement.run(&graph.inputs(), "displacement", cancellation)?;
+        let displacement = shaped::<Ix2>(&self.displacement, displacement, &[graph.vertex_count(), 3])?;
+        Ok(&graph.positions + &displacement)
+    }
+
+    /// How much each vertex says about joints, `[V]`, 0 to 1.
+    pub fn attention(&self, graph: &ShapeGraph, cancellation: &Cancellation) -> Result<Vec<f32>, NetError> {
+        let logits = self.attention.run(&graph.inputs(), "attention_logit", cancellation)?;
+        let logits = shaped::<Ix1>(&self.attention, logits, &[graph.vertex_count()])?;
+        Ok(logits.iter().map(|&logit| sigmoid(logit)).collect())
+    }
+
+    /// The probability that each pair of joints is a bone, `[P]`.
+    ///
+    /// `pairs` `[P, 2]` holds joint indices, `pair_features` `[P, 2]` the length and the inside share of the segment.
+    pub fn bone_probability(
+        &self,
+        graph: &ShapeGraph,
+        joints: ArrayView2<f32>,
+        pairs: ArrayView2<i64>,
+        pair_features: ArrayView2<f32>,
+        cancellation: &Cancellation,
+    ) -> Result<Vec<f32>, NetError> {
+        let mut inputs = graph.inputs();
+        inputs.push(("joints", Input::F32(joints.into_dyn())));
+        inputs.push(("pairs", Input::I64(pairs.into_dyn())));
+        inputs.push(("pair_features", Input::F32(pair_features.into_dyn())));
+        let logits = self.bone.run(&inputs, "bone_logit", cancellation)?;
+        let logits = shaped::<Ix1>(&self.bone, logits, &[pairs.len_of(Axis(0))])?;
+        Ok(logits.iter().map(|&logit| sigmoid(logit)).collect())
+    }
+
+    /// The joint that is most likely the root.
+    pub fn root(
+        &self,
+        graph: &ShapeGraph,
+        joints: ArrayView2<f32>,
+        cancellation: &Cancellation,
+    ) -> Result<usize, NetError> {
+        let mut inputs = graph.inputs();
+        inputs.push(("joints", Input::F32(joints.into_dyn())));
+        let logits = self.root.run(&inputs, "root_logit", cancellation)?;
+        let logits = shaped::<Ix1>(&self.root, logits, &[joints.len_of(Axis(0))])?;
+        // The first of equal maxima, so that the choice does not depend on iteration order.
+        let best = logits.iter().enumerate().fold(
+            (0, f32::MIN),
+            |best, (index, &logit)| {
+                if logit > best.1 { (index, logit) } else { best }
+            },
+        );
+        Ok(best.0)
+    }
+
+    /// Logits over each vertex's five nearest bones, `[V, 5]`, before softmax and mask.
+    pub fn skin_logits(
+        &self,
+        graph: &ShapeGraph,
+        bone_features: ArrayView2<f32>,
+        bone_mask: ArrayView2<f32>,
+        cancellation: &Cancellation,
+    ) -> Result<Array2<f32>, NetError> {
+        let mut inputs = graph.inputs();
+        inputs.push(("bone_features", Input::F32(bone_features.into_dyn())));
+        inputs.push(("bone_mask", Input::F32(bone_mask.into_dyn())));
+        let logits = self.skin.run(&inputs, "skin_logit", cancellation)?;
+        shaped::<Ix2>(&self.skin, logits, &[graph.vertex_count(), bone_mask.len_of(Axis(1))])
+    }
+}
+
+impl ShapeGraph {
+    pub fn vertex_count(&self) -> usize {
+        self.positions.len_of(Axis(0))
+    }
+
+    fn inputs(&self) -> Vec<(&'static str, Input<'_>)> {
+        vec![
+            ("positions", Input::F32(self.positions.view().into_dyn())),
+            ("one_ring", Input::I64(self.one_ring.view().into_dyn())),
+            ("geodesic_ball", Input::I64(self.geodesic_ball.view().into_dyn())),
+        ]
+    }
+}
+
+fn sigmoid(logit: f32) -> f32 {
+    1.0 / (1.0 + (-logit).exp())
+}
+
+/// The output as an array of the given shape; another shape means that program and models do not fit together.
+fn shaped<D: ndarray::Dimension>(
+    network: &Network,
+    values: ArrayD<f32>,
+    expected: &[usize],
+) -> Result<ndarray::Array<f32, D>, NetError> {
+    let got = values.shape().to_vec();
+    let wrong = || NetError::Interface {
+        network: network.name().to_owned(),
+        what: "output shape",
+        got: format!("{got:?}"),
+        expected: format!("{expected:?}"),
+    };
+    if got != expected {
+        return Err(wrong());
+    }
+    values.into_dimensionality::<D>().map_err(|_| wrong())
+}
