@@ -66,7 +66,9 @@ impl RigFileError {
             Self::Json { .. } => "send the rig.json of an earlier rig, edited",
             Self::Format { .. } => "convert the file to this format, or fetch rig.json again",
             Self::NoJoints => "give at least a root joint",
-            Self::Joint { .. } => "list parents before their children, one root first, with unique names and finite positions",
+            Self::Joint { .. } => {
+                "list parents before their children, one root first, with unique names and finite positions"
+            }
             Self::Weights { .. } => "give each vertex as many joints as weights, and at least one weight above zero",
         }
     }
@@ -109,11 +111,8 @@ fn weight_rows<S: Serializer>(rows: &&[Vec<Influence>], serializer: S) -> Result
 /// Writes `rig`, whose rows are those of the asset's mesh. Joints have the names that they have in the glTF output.
 pub fn write(asset: &Asset, rig: &Rig, method: &str, report: &Value) -> Vec<u8> {
     let names = gltf::joint_names(asset, &rig.skeleton);
-    let joint = |(joint, name): (&Joint, _)| WrittenJoint {
-        name,
-        parent: joint.parent,
-        position: joint.position.to_array(),
-    };
+    let joint =
+        |(joint, name): (&Joint, _)| WrittenJoint { name, parent: joint.parent, position: joint.position.to_array() };
     let skins = asset.parts.iter().map(|part| {
         let rows = rig.skin.rows.get(part.vertices.clone()).unwrap_or_default();
         WrittenSkin { mesh: part.mesh, primitive: part.primitive, joints: rows, weights: rows }

@@ -35,7 +35,8 @@ pub fn write(asset: &Asset, rig: &Rig) -> String {
     }
     for (vertex, row) in rig.skin.rows.iter().enumerate() {
         let shown: Vec<&Influence> = row.iter().filter(|influence| influence.weight >= WEIGHT_MIN).collect();
-        let pairs = shown.iter().map(|influence| format!(" {} {:.4}", name(influence.joint as usize), influence.weight));
+        let pairs =
+            shown.iter().map(|influence| format!(" {} {:.4}", name(influence.joint as usize), influence.weight));
         line(format_args!("skin {vertex}{}", pairs.collect::<String>()));
     }
     let mut children = vec![Vec::new(); joints.len()];

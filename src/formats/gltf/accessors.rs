@@ -132,7 +132,8 @@ impl Reader<'_> {
             // Nothing but the count says how large this is.
             return Err(DecodeError::TooManyVertices { found: declared, limit: self.limits.vertices_max as u64 });
         }
-        let sparse = json.get("sparse").map(|sparse| self.sparse(sparse, component, width, count, &place)).transpose()?;
+        let sparse =
+            json.get("sparse").map(|sparse| self.sparse(sparse, component, width, count, &place)).transpose()?;
         let normalized = json.get("normalized").and_then(Value::as_bool).unwrap_or(false);
         Ok(Accessor { component, width, count, normalized, layout, sparse, place })
     }
@@ -163,12 +164,9 @@ impl Reader<'_> {
             .map_or(Some(0), |last| last.checked_mul(stride)?.checked_add(element_bytes as u64))
             .and_then(|bytes| bytes.checked_add(offset));
         match needed {
-            Some(needed) if needed <= range.len() as u64 => Ok(Some(Layout {
-                start: range.start + offset as usize,
-                stride: stride as usize,
-                element_bytes,
-                count,
-            })),
+            Some(needed) if needed <= range.len() as u64 => {
+                Ok(Some(Layout { start: range.start + offset as usize, stride: stride as usize, element_bytes, count }))
+            }
             needed => Err(truncated(place, needed.unwrap_or(u64::MAX), range.len() as u64)),
         }
     }

@@ -35,7 +35,7 @@ pub fn decode(
     check_list_lengths(&json, limits)?;
     let folder = file_name.rfind('/').map_or("", |slash| &file_name[..=slash]);
     let used = Cell::new(bytes.len() as u64);
-    let sources = Sources { chunk: container.binary, siblings, folder, limits, used };
+    let sources = Sources { is_glb: container::is_glb(bytes), chunk: container.binary, siblings, folder, limits, used };
     let mut binary = load(&mut json, &sources)?;
     let mut findings = embed_images(&mut json, &mut binary, &sources, options)?;
     document::drop_draco(&mut json)?;
@@ -98,10 +98,8 @@ fn prepare(
     tell_of_what_is_not_rigged(json, &graph, &shown, &mut findings);
 
     let edit = Edit::new(json, binary, limits);
-    let frames: Vec<(Vec<Frame>, Vec<usize>)> = shown
-        .iter()
-        .map(|&(node, mesh)| existing_rig::frames(&edit, &graph, node, mesh))
-        .collect::<Result<_, _>>()?;
+    let frames: Vec<(Vec<Frame>, Vec<usize>)> =
+        shown.iter().map(|&(node, mesh)| existing_rig::frames(&edit, &graph, node, mesh)).collect::<Result<_, _>>()?;
     match &old_rig {
         Some(_) => findings.extend(existing_rig::strip(edit.json)),
         // Attributes without a skin mean nothing, and would stand beside ours.
@@ -227,7 +225,8 @@ fn tell_of_changes(
             hint: String::new(),
         });
     }
-    let is_moved = |frames: &&(Vec<Frame>, Vec<usize>)| frames.0.iter().any(|frame| *frame != Frame::One(DMat4::IDENTITY));
+    let is_moved =
+        |frames: &&(Vec<Frame>, Vec<usize>)| frames.0.iter().any(|frame| *frame != Frame::One(DMat4::IDENTITY));
     let moved = frames.iter().filter(is_moved).count();
     if moved > 0 {
         findings.push(Finding {
@@ -321,7 +320,12 @@ fn read_mesh(
             mesh.triangles.extend(triangles::of(&corners, mode(json, &place)?).into_iter().map(|t| t.map(to_row)));
             mesh.positions.extend(positions.into_iter().map(|point| DVec3::from_array(point.map(f64::from))));
             let vertices = start..mesh.positions.len();
-            parts.push(Part { name: node_name.clone(), mesh: placed.source_mesh, primitive, vertices: vertices.clone() });
+            parts.push(Part {
+                name: node_name.clone(),
+                mesh: placed.source_mesh,
+                primitive,
+                vertices: vertices.clone(),
+            });
             let rows = vertices.map(|row| row as u32).collect();
             skinned.push(SkinnedPrimitive { node: placed.node, mesh: placed.mesh, primitive, rows });
         }

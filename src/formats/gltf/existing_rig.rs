@@ -13,7 +13,14 @@ use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Extensions that describe the skeleton of the file and mean nothing without it.
-const OF_THE_SKELETON: &[&str] = &["VRM", "VRMC_vrm", "VRMC_springBone", "VRMC_springBone_extended_collider", "VRMC_node_constraint", "VRMC_vrm_animation"];
+const OF_THE_SKELETON: &[&str] = &[
+    "VRM",
+    "VRMC_vrm",
+    "VRMC_springBone",
+    "VRMC_springBone_extended_collider",
+    "VRMC_node_constraint",
+    "VRMC_vrm_animation",
+];
 
 /// A skin whose rest pose moves no vertex farther than this part of the mesh's size leaves the vertices as they are.
 const AT_REST: f64 = 1e-5;
@@ -74,7 +81,11 @@ pub(super) fn frames(
         let frame = match known.get(&key) {
             Some(&frame) => frame,
             None => {
-                frames.push(if key.is_empty() { Frame::One(world) } else { blended(edit, &matrices, primitive, &key, &place)? });
+                frames.push(if key.is_empty() {
+                    Frame::One(world)
+                } else {
+                    blended(edit, &matrices, primitive, &key, &place)?
+                });
                 known.insert(key, frames.len() - 1);
                 frames.len() - 1
             }
@@ -98,9 +109,8 @@ fn joint_matrices(edit: &Edit, graph: &NodeGraph, skin: usize) -> Result<Vec<DMa
         let problem = format!("{} inverse bind matrices for {} joints", inverse_bind.len(), joints.len());
         return Err(malformed(place, problem));
     }
-    let matrix = |(joint, inverse): (&usize, &[f32; 16])| {
-        graph.world[*joint] * DMat4::from_cols_array(&inverse.map(f64::from))
-    };
+    let matrix =
+        |(joint, inverse): (&usize, &[f32; 16])| graph.world[*joint] * DMat4::from_cols_array(&inverse.map(f64::from));
     let matrices: Vec<DMat4> = joints.iter().zip(&inverse_bind).map(matrix).collect();
     if matrices.is_empty() || !matrices.iter().all(DMat4::is_finite) {
         return Err(malformed(place, "no joints, or an inverse bind matrix that is not finite"));
@@ -206,7 +216,11 @@ pub(super) fn strip_influences(json: &mut Value) {
 
 /// Nodes that were only part of the old skeleton: joints, what hangs on joints and shows nothing, and the empty
 /// holders above them.
-pub(super) fn removable_nodes(json: &Value, graph_parents: &[Option<usize>], joints: &BTreeSet<usize>) -> BTreeSet<usize> {
+pub(super) fn removable_nodes(
+    json: &Value,
+    graph_parents: &[Option<usize>],
+    joints: &BTreeSet<usize>,
+) -> BTreeSet<usize> {
     let nodes = items(json, "nodes");
     let count = graph_parents.len().min(nodes.len());
     let mut is_in_skeleton: Vec<bool> = (0..count).map(|node| joints.contains(&node)).collect();

@@ -87,7 +87,10 @@ fn is_untransformed(node: &Value) -> bool {
     let numbers = |key: &str| -> Option<Vec<f64>> { node.get(key)?.as_array()?.iter().map(Value::as_f64).collect() };
     let is = |key: &str, neutral: &[f64]| numbers(key).is_none_or(|numbers| numbers == neutral);
     let identity = glam::DMat4::IDENTITY.to_cols_array();
-    is("matrix", &identity) && is("translation", &[0.0; 3]) && is("rotation", &[0.0, 0.0, 0.0, 1.0]) && is("scale", &[1.0; 3])
+    is("matrix", &identity)
+        && is("translation", &[0.0; 3])
+        && is("rotation", &[0.0, 0.0, 0.0, 1.0])
+        && is("scale", &[1.0; 3])
 }
 
 /// Moves the mesh of a node that carries more than its mesh to a new node; the old one stays for the rest.
@@ -172,10 +175,8 @@ fn follow_up_animations(
             above = graph.parents[parent];
         }
     }
-    let names: Vec<String> = carriers
-        .intersection(animated)
-        .map(|&node| super::bake::named(&json["nodes"][node], "node", node))
-        .collect();
+    let names: Vec<String> =
+        carriers.intersection(animated).map(|&node| super::bake::named(&json["nodes"][node], "node", node)).collect();
     if !names.is_empty() {
         findings.push(Finding {
             code: "animation_no_longer_moves_mesh",

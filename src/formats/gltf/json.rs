@@ -36,7 +36,8 @@ pub(super) fn malformed(place: impl Into<String>, problem: impl Into<String>) ->
 /// Parses a document and checks the kinds of its top-level members, so that later code may rely on them.
 pub(super) fn parse(text: &[u8], limits: &Limits) -> Result<Value, DecodeError> {
     let text = text.strip_prefix(b"\xef\xbb\xbf").unwrap_or(text);
-    let end = text.iter().rposition(|byte| !matches!(byte, 0 | b' ' | b'\n' | b'\r' | b'\t')).map_or(0, |last| last + 1);
+    let end =
+        text.iter().rposition(|byte| !matches!(byte, 0 | b' ' | b'\n' | b'\r' | b'\t')).map_or(0, |last| last + 1);
     let text = &text[..end];
     check_size(text, limits)?;
     let json: Value = serde_json::from_slice(text).map_err(|error| DecodeError::Malformed {
@@ -188,11 +189,7 @@ pub(super) fn member_reference(
 }
 
 /// Member `key` as N finite numbers.
-pub(super) fn numbers<const N: usize>(
-    object: &Value,
-    key: &str,
-    place: &str,
-) -> Result<Option<[f64; N]>, DecodeError> {
+pub(super) fn numbers<const N: usize>(object: &Value, key: &str, place: &str) -> Result<Option<[f64; N]>, DecodeError> {
     let Some(value) = object.get(key) else { return Ok(None) };
     let list: Option<Vec<f64>> = value.as_array().and_then(|list| list.iter().map(Value::as_f64).collect());
     match list.and_then(|list| <[f64; N]>::try_from(list).ok()) {

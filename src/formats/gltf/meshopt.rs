@@ -51,13 +51,7 @@ pub(super) fn decompress(
     Ok(freed)
 }
 
-fn decode(
-    json: &Value,
-    bytes: &[u8],
-    held: u64,
-    view: usize,
-    limits: &Limits,
-) -> Result<Vec<u8>, DecodeError> {
+fn decode(json: &Value, bytes: &[u8], held: u64, view: usize, limits: &Limits) -> Result<Vec<u8>, DecodeError> {
     let place = format!("buffer view {view}, meshopt data");
     let required = |key: &str| number(json, key, &place)?.ok_or_else(|| malformed(&place, format!("no {key}")));
     let (count, stride) = (required("count")?, required("byteStride")?);
@@ -144,7 +138,8 @@ fn filter(name: &str, stride: usize, bytes: &mut [u8]) -> Option<()> {
             write_back(bytes, rows.iter().flatten().map(|value| value.to_le_bytes()));
         }
         ("EXPONENTIAL", stride) if stride % 4 == 0 => {
-            let mut rows: Vec<[u32; 1]> = bytes.as_chunks::<4>().0.iter().map(|row| [u32::from_le_bytes(*row)]).collect();
+            let mut rows: Vec<[u32; 1]> =
+                bytes.as_chunks::<4>().0.iter().map(|row| [u32::from_le_bytes(*row)]).collect();
             meshopt::decode_filter_exp(&mut rows);
             write_back(bytes, rows.iter().flatten().map(|value| value.to_le_bytes()));
         }

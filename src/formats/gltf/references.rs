@@ -189,9 +189,11 @@ impl UsedBefore {
             remove_all(json, Kind::Accessor, &orphans);
             let orphans = orphans_of_views(json, self);
             let views = items(json, "bufferViews");
-            freed.extend(orphans.iter().filter_map(|&view| {
-                super::accessors::view_range(views.get(view)?, view, binary.len()).ok()
-            }));
+            freed.extend(
+                orphans
+                    .iter()
+                    .filter_map(|&view| super::accessors::view_range(views.get(view)?, view, binary.len()).ok()),
+            );
             remove_all(json, Kind::BufferView, &orphans);
         }
         compact(json, binary, &freed);

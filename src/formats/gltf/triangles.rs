@@ -34,7 +34,8 @@ pub(super) fn of(corners: &[u32], mode: u64) -> Vec<[u32; 3]> {
         LIST => corners.as_chunks::<3>().0.to_vec(),
         STRIP => {
             let windows = corners.windows(3).enumerate();
-            let turned = windows.map(|(number, v)| if number % 2 == 0 { [v[0], v[1], v[2]] } else { [v[0], v[2], v[1]] });
+            let turned =
+                windows.map(|(number, v)| if number % 2 == 0 { [v[0], v[1], v[2]] } else { [v[0], v[2], v[1]] });
             turned.filter(|triangle| !is_stitch(triangle)).collect()
         }
         FAN => {
@@ -47,12 +48,7 @@ pub(super) fn of(corners: &[u32], mode: u64) -> Vec<[u32; 3]> {
 }
 
 /// The corners of a primitive, checked against its `vertices`.
-pub(super) fn corners(
-    edit: &Edit,
-    primitive: &Value,
-    vertices: usize,
-    place: &str,
-) -> Result<Vec<u32>, DecodeError> {
+pub(super) fn corners(edit: &Edit, primitive: &Value, vertices: usize, place: &str) -> Result<Vec<u32>, DecodeError> {
     let accessors = items(edit.json, "accessors").len();
     let Some(indices) = member_reference(primitive, "indices", "accessor", accessors, place)? else {
         return Ok((0..vertices as u32).collect());
@@ -111,7 +107,8 @@ pub(super) fn flip(edit: &mut Edit, mesh: usize, primitive: usize) -> Result<(),
 fn append_indices(edit: &mut Edit, indices: &[u32], vertices: usize) -> Result<usize, DecodeError> {
     // The largest value of a type is kept for restarts.
     let component = if vertices < usize::from(u16::MAX) { Component::U16 } else { Component::U32 };
-    let bytes: Vec<u8> = indices.iter().flat_map(|index| index.to_le_bytes().into_iter().take(component.bytes())).collect();
+    let bytes: Vec<u8> =
+        indices.iter().flat_map(|index| index.to_le_bytes().into_iter().take(component.bytes())).collect();
     edit.check_growth(bytes.len())?;
     let view = append_view(edit.json, edit.binary, &bytes);
     edit.json["bufferViews"][view]["target"] = json!(34963);
