@@ -2,6 +2,7 @@
 
 LISTEN   ?= 127.0.0.1:8080
 MINUTES  ?= 10
+DATA     ?=
 WHEEL    ?=
 CARGO    ?= cargo
 PYTHON   ?= python3
@@ -23,7 +24,7 @@ run: build ## fetch ONNX Runtime, build, and start the service on http://127.0.0
 	@printf '  curl -sS --fail-with-body -o rigged.glb -H "Content-Type: model/gltf-binary" -H "Prefer: wait=60" \\\n'
 	@printf '       -H "Accept: model/gltf-binary" --data-binary @tests/fixtures/sample-character.glb \\\n'
 	@printf '       http://$(LISTEN)/v1/rigs\n\n'
-	@printf 'The API is described at http://$(LISTEN)/ (for people) and /v1/openapi.json. Stop with Ctrl-C.\n\n'
+	@printf 'The API is described at http://$(LISTEN)/docs and, as OpenAPI, at http://$(LISTEN)/v1/openapi.json. Stop with Ctrl-C.\n\n'
 	@exec $(BINARY) serve --listen $(LISTEN)
 
 .PHONY: build
@@ -73,16 +74,17 @@ bench: ort ## time and memory per stage, beside this machine's matrix-product ra
 # ---- networks (models/README.md; these need PyTorch) ------------------------------------------------------------------
 
 .PHONY: train
-train: ## train the networks for MINUTES
-	cd models && $(PYTHON) -m rigsmith_models.train --minutes $(MINUTES)
+train: ## train the networks for MINUTES on DATA (cache files)
+	@test -n "$(DATA)" || { echo 'name the training data: make train MINUTES=90 DATA="cache/*.npz" (models/TRAINING.md)'; exit 1; }
+	PYTHON=$(PYTHON) models/train_all.sh --minutes $(MINUTES) $(DATA)
 
 .PHONY: export
 export: ## write the trained networks as ONNX graphs with their manifest
-	cd models && $(PYTHON) export.py
+	$(PYTHON) models/export.py
 
 .PHONY: evaluate
 evaluate: ## measure the exported networks on held-out characters
-	cd models && $(PYTHON) -m rigsmith_models.evaluate
+	$(PYTHON) models/evaluate.py
 
 # ---- what the checks stand on -----------------------------------------------------------------------------------------
 

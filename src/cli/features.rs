@@ -65,7 +65,10 @@ fn features(input: &Arrays, key: &str) -> Result<Arrays, NpzError> {
     let mesh = Mesh { positions: points(array("vertices")?), triangles: triangles(array("faces")?) };
     let broken = mesh.triangles.iter().flatten().any(|&corner| corner as usize >= mesh.positions.len());
     if broken || mesh.triangles.is_empty() {
-        return Err(NpzError::Array { name: format!("{key}/faces"), cause: "no faces, or a corner out of range".into() });
+        return Err(NpzError::Array {
+            name: format!("{key}/faces"),
+            cause: "no faces, or a corner out of range".into(),
+        });
     }
     let shape = Shape::new(mesh);
     let mut output = Arrays::default();

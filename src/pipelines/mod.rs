@@ -9,9 +9,9 @@ pub use crate::geometry::orientation;
 use crate::cancellation::{Cancellation, Cancelled};
 use crate::mesh::Mesh;
 pub use crate::nets::{LoadOptions, Models, NetError};
-pub use crate::rig::detect_joints::Fineness as LevelOfDetail;
-use crate::rig::detect_joints::DetectJointsError;
 use crate::rig::Rig;
+use crate::rig::detect_joints::DetectJointsError;
+pub use crate::rig::detect_joints::Fineness as LevelOfDetail;
 use glam::{DMat3, DVec3};
 
 /// A published way to make a rig.

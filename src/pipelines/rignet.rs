@@ -73,8 +73,7 @@ struct Prepared<'a> {
 
 impl<'a> Prepared<'a> {
     fn new(upload: Subject<'a>) -> Result<Self, RigError> {
-        let normalization =
-            Normalization::new(&upload.mesh.positions, upload.to_upright).ok_or(RigError::NoExtent)?;
+        let normalization = Normalization::new(&upload.mesh.positions, upload.to_upright).ok_or(RigError::NoExtent)?;
         let original = normalised(upload.mesh, &normalization);
         let working = WorkingMesh::new(&original).map_err(|_| RigError::NoExtent)?;
         Ok(Self { upload, normalization, original, working })
@@ -131,8 +130,7 @@ fn find_joints(
     watch: Watch,
 ) -> Result<DetectedJoints, RigError> {
     let displaced = points(nets.displaced(graph, watch.cancellation)?.view());
-    let attention: Vec<f64> =
-        nets.attention(graph, watch.cancellation)?.into_iter().map(f64::from).collect();
+    let attention: Vec<f64> = nets.attention(graph, watch.cancellation)?.into_iter().map(f64::from).collect();
     watch.cancellation.check()?;
     let evidence = Evidence { vertices: &shape.mesh.positions, displaced: &displaced, attention: &attention };
     Ok(detect_joints(&evidence, Some(&shape.solid), plane, options.level_of_detail, watch.cancellation)?)
@@ -154,13 +152,8 @@ fn connect(
         0 => segments[pair].length as f32,
         _ => segments[pair].inside_share() as f32,
     });
-    let probability = nets.bone_probability(
-        graph,
-        joint_array.view(),
-        pair_array.view(),
-        features.view(),
-        watch.cancellation,
-    )?;
+    let probability =
+        nets.bone_probability(graph, joint_array.view(), pair_array.view(), features.view(), watch.cancellation)?;
     let root = nets.root(graph, joint_array.view(), watch.cancellation)?;
     let probability: Vec<f64> = probability.into_iter().map(f64::from).collect();
     let outside: Vec<usize> = segments.iter().map(|segment| segment.outside_count).collect();
@@ -195,9 +188,8 @@ fn skin(
         watch.cancellation,
     )?;
     let logits: Vec<f32> = logits.iter().copied().collect();
-    let weights = BoneWeights::from_logits(&logits, &features, bones.len())
-        .one_ring_mean(&shape.one_ring)
-        .pruned(PRUNE_SHARE);
+    let weights =
+        BoneWeights::from_logits(&logits, &features, bones.len()).one_ring_mean(&shape.one_ring).pruned(PRUNE_SHARE);
     Ok(SkinWeights::from_bones(&weights, &bones, &features.nearest, options.max_influences))
 }
 
