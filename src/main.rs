@@ -1,3 +1,7 @@
-//! The `rigsmith` program: parse, call the library, say what happened.
+//! The `rigsmith` program.
 
-fn main() {}
+mod cli;
+
+fn main() -> std::process::ExitCode {
+    cli::run()
+}

@@ -34,6 +34,8 @@ pub enum DecodeError {
     PointCloud { points: usize },
     #[error("the mesh has no extent: its longest side is {longest_side}")]
     ZeroExtent { longest_side: f64 },
+    #[error("none of the {faces} faces has an area")]
+    AllDegenerate { faces: usize },
     /// `name` as the referring file spells it.
     #[error("the file refers to {name}, which was not sent")]
     MissingResource { name: String },
@@ -109,7 +111,10 @@ impl DecodeError {
             | Self::EncryptedArchive { .. }
             | Self::NestedArchive { .. } => "unreadable_mesh",
             Self::NonFinite { .. } => "non_finite_vertices",
-            Self::NoTriangles { .. } | Self::PointCloud { .. } | Self::ZeroExtent { .. } => "no_geometry",
+            Self::NoTriangles { .. }
+            | Self::PointCloud { .. }
+            | Self::ZeroExtent { .. }
+            | Self::AllDegenerate { .. } => "no_geometry",
             Self::MissingResource { .. } => "missing_resource",
             Self::AlreadyRigged { .. } => "already_rigged",
             Self::TooLarge { .. } | Self::TooMany { .. } => "too_large",
@@ -135,7 +140,10 @@ impl DecodeError {
             Self::NonFinite { what, .. } => format!("remove or repair the {what} and export again"),
             Self::NoTriangles { .. } => "export the mesh with its faces".into(),
             Self::PointCloud { .. } => "reconstruct a surface from the points first".into(),
-            Self::ZeroExtent { .. } => "export the mesh at its real size; all its points coincide".into(),
+            Self::ZeroExtent { .. } => {
+                "export the mesh at its real size and near the origin; its points coincide".into()
+            }
+            Self::AllDegenerate { .. } => "check the mesh in a modelling program; its faces are lines or points".into(),
             Self::MissingResource { name } => {
                 format!("send {name} along, or everything in one zip, or export as GLB, which holds all in one file")
             }

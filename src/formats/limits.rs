@@ -20,6 +20,8 @@ pub struct Limits {
     /// Unpacked bytes per packed byte of an archive.
     pub unzip_ratio_max: u64,
     pub archive_entries_max: usize,
+    /// What the FBX reader may allocate, for its working memory and for its result each: FBX packs its arrays.
+    pub fbx_memory_bytes_max: usize,
 }
 
 impl Default for Limits {
@@ -34,6 +36,7 @@ impl Default for Limits {
             materials_max: 4_096,
             unzip_ratio_max: 100,
             archive_entries_max: 4_096,
+            fbx_memory_bytes_max: 512 << 20,
         }
     }
 }

@@ -2,19 +2,42 @@
 //!
 //! No I/O: further files of an upload (buffers, textures, materials) are asked for through [`Siblings`].
 
+mod archive;
 mod detect;
 mod error;
+pub mod fbx;
+mod fbx_materials;
 pub mod gltf;
 mod limits;
+mod mtl;
 pub mod npz;
+pub mod obj;
+mod obj_statements;
+pub mod ply;
+mod ply_header;
+mod polygon;
+pub mod preview;
+pub mod rig_json;
+pub mod rignet_text;
 mod scene;
+mod scene_builder;
+mod siblings;
+mod soundness;
+pub mod stl;
+mod text;
+mod textures;
+mod zip_directory;
 
+pub use detect::refuse_foreign;
 pub use error::{DecodeError, ExceededLimit, Place};
 pub use limits::Limits;
 pub use scene::{Alpha, Image, ImageType, Material, Scene, SceneNode, ScenePrimitive};
+pub use siblings::{NoSiblings, Siblings, relative_name};
 
 use crate::mesh::Mesh;
 use detect::Kind;
+use glam::DVec3;
+use siblings::BoundedSiblings;
 use std::ops::Range;
 
 /// Reads one upload. What it is, its first bytes say, then the extension of `file_name`; `siblings` are the files sent
@@ -31,11 +54,35 @@ pub fn decode(
         return Err(DecodeError::TooLarge { what: "the file".into(), found, limit: limits.bytes_max });
     }
     match detect::detect(file_name, bytes)? {
-        Kind::Mesh(Format::Glb | Format::Gltf) => gltf::decode(file_name, bytes, siblings, limits, options),
-        Kind::Mesh(Format::Obj | Format::Ply | Format::Stl | Format::Fbx) | Kind::Zip => {
-            Err(DecodeError::UnsupportedFormat { seen: file_name.into() })
-        }
+        Kind::Mesh(format) => decode_as(format, file_name, bytes, siblings, limits, options),
+        Kind::Zip => archive::decode(bytes, limits, options),
     }
+}
+
+/// Reads `bytes` as `format`, whatever they look like.
+pub fn decode_as(
+    format: Format,
+    file_name: &str,
+    bytes: &[u8],
+    siblings: &dyn Siblings,
+    limits: &Limits,
+    options: &DecodeOptions,
+) -> Result<Asset, DecodeError> {
+    let bounded = BoundedSiblings::new(siblings, bytes.len() as u64, limits);
+    let asset = match format {
+        Format::Glb | Format::Gltf => gltf::decode(file_name, bytes, &bounded, limits, options),
+        Format::Obj => obj::decode(file_name, bytes, &bounded, limits, options),
+        Format::Ply => ply::decode(file_name, bytes, &bounded, limits, options),
+        Format::Stl => stl::decode(file_name, bytes, &bounded, limits, options),
+        Format::Fbx => fbx::decode(file_name, bytes, &bounded, limits, options),
+    };
+    bounded.check()?;
+    let mut asset = asset?;
+    if let (Some(rig), ExistingRigPolicy::Reject) = (asset.existing_rig, options.existing_rig) {
+        return Err(DecodeError::AlreadyRigged { skins: rig.skins, joints: rig.joints });
+    }
+    asset.findings.extend(soundness::check(&asset.mesh, limits)?);
+    Ok(asset)
 }
 
 /// What the sender chose about reading the file.
@@ -73,6 +120,14 @@ pub struct Asset {
     pub source: Source,
 }
 
+impl Asset {
+    /// An asset of one part: every file vertex in file order.
+    fn from_scene(format: Format, name: &str, mesh: Mesh, scene: Scene, findings: Vec<Finding>) -> Self {
+        let parts = vec![Part { name: name.into(), mesh: 0, primitive: 0, vertices: 0..mesh.positions.len() }];
+        Self { format, mesh, parts, axes: None, existing_rig: None, findings, source: Source::Scene(scene) }
+    }
+}
+
 /// The rest of an upload: what is given back besides the rig.
 #[derive(Debug)]
 pub enum Source {
@@ -105,6 +160,20 @@ pub enum Format {
     Fbx,
 }
 
+impl Format {
+    /// For reports and messages.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Glb => "glb",
+            Self::Gltf => "gltf",
+            Self::Obj => "obj",
+            Self::Ply => "ply",
+            Self::Stl => "stl",
+            Self::Fbx => "fbx",
+        }
+    }
+}
+
 /// Which way is up and which way a character faces, as signed unit axes of upload space.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Axes {
@@ -120,6 +189,34 @@ pub enum Axis {
     NegY,
     PosZ,
     NegZ,
+}
+
+impl Axis {
+    pub const ALL: [Self; 6] = [Self::PosX, Self::NegX, Self::PosY, Self::NegY, Self::PosZ, Self::NegZ];
+
+    /// The unit vector along it.
+    pub fn direction(self) -> DVec3 {
+        match self {
+            Self::PosX => DVec3::X,
+            Self::NegX => DVec3::NEG_X,
+            Self::PosY => DVec3::Y,
+            Self::NegY => DVec3::NEG_Y,
+            Self::PosZ => DVec3::Z,
+            Self::NegZ => DVec3::NEG_Z,
+        }
+    }
+
+    /// As requests and reports spell it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::PosX => "+x",
+            Self::NegX => "-x",
+            Self::PosY => "+y",
+            Self::NegY => "-y",
+            Self::PosZ => "+z",
+            Self::NegZ => "-z",
+        }
+    }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -144,11 +241,4 @@ pub struct Finding {
 pub enum Severity {
     Info,
     Warning,
-}
-
-/// The other files of an upload, by the relative name that the main file uses.
-pub trait Siblings {
-    /// The bytes of `name`, or `None` when the upload has no such file. Implementations refuse names that leave
-    /// the upload (absolute, `..`).
-    fn read(&self, name: &str) -> Option<Vec<u8>>;
 }

@@ -42,6 +42,11 @@ impl Orientation {
     }
 }
 
+/// A front that goes with `up` where none is known: +z, or as Blender has it, −y where z is up.
+pub fn any_front(up: DVec3) -> DVec3 {
+    if up.z.abs() > 0.5 { DVec3::NEG_Y * up.z.signum() } else { DVec3::Z }
+}
+
 /// The rotation that takes `up` to +y and `front` to +z (both of unit length, at a right angle).
 pub fn rotation_to_frame(up: DVec3, front: DVec3) -> DMat3 {
     DMat3::from_cols(up.cross(front), up, front).transpose()

@@ -2,6 +2,8 @@
 //! has one name, one range and one message everywhere.
 
 use crate::formats::Axis;
+pub use crate::formats::ExistingRigPolicy;
+pub use crate::pipelines::{LevelOfDetail, Symmetry};
 use serde_json::Value;
 use std::fmt;
 use std::ops::RangeInclusive;
@@ -45,33 +47,6 @@ impl Default for RigOptions {
             outputs: vec![Output::Glb, Output::RigJson],
         }
     }
-}
-
-/// How many joints are wanted: by a number that everybody understands, or by RigNet's own.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum LevelOfDetail {
-    /// 0 (few joints) to 1 (many).
-    Detail(f64),
-    /// Bandwidth of the mean shift, in the normalised frame; larger means fewer joints.
-    Bandwidth(f64),
-}
-
-/// Whether the rig is made symmetric about a detected plane.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Symmetry {
-    /// When the mesh is.
-    Auto,
-    On,
-    Off,
-}
-
-/// What to do with a file that already has a skeleton.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ExistingRigPolicy {
-    /// Refuse, and say how to go on.
-    Reject,
-    /// Remove skeleton and weights, and make new ones.
-    Replace,
 }
 
 /// A file to make.
@@ -121,16 +96,6 @@ impl Words for Output {
     ];
 }
 
-/// `auto` is not an axis: it is the absence of one.
-const AXES: &[(&str, Axis)] = &[
-    ("+x", Axis::PosX),
-    ("-x", Axis::NegX),
-    ("+y", Axis::PosY),
-    ("-y", Axis::NegY),
-    ("+z", Axis::PosZ),
-    ("-z", Axis::NegZ),
-];
-
 impl Symmetry {
     pub fn name(self) -> &'static str {
         self.word()
@@ -147,11 +112,32 @@ impl Output {
     pub fn name(self) -> &'static str {
         self.word()
     }
+
+    /// The name of the artifact.
+    pub fn file_name(self) -> &'static str {
+        match self {
+            Self::Glb => "rigged.glb",
+            Self::Gltf => "rigged.gltf",
+            Self::RigJson => "rig.json",
+            Self::RignetTxt => "rignet.txt",
+            Self::PreviewPng => "preview.png",
+        }
+    }
+
+    pub fn media_type(self) -> &'static str {
+        match self {
+            Self::Glb => "model/gltf-binary",
+            Self::Gltf => "model/gltf+json",
+            Self::RigJson => "application/json",
+            Self::RignetTxt => "text/plain; charset=utf-8",
+            Self::PreviewPng => "image/png",
+        }
+    }
 }
 
 /// `+y` and the like; `auto` for `None`.
 pub fn axis_name(axis: Option<Axis>) -> &'static str {
-    AXES.iter().find(|(_, value)| Some(*value) == axis).map_or("auto", |(name, _)| *name)
+    axis.map_or("auto", Axis::name)
 }
 
 /// Why one field was refused.
@@ -197,7 +183,7 @@ const SHOWN_CHARACTERS_MAX: usize = 60;
 const ERRORS_MAX: usize = 20;
 
 /// Collects fields from any number of places, then gives the options or every refusal at once.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub struct OptionsReader {
     options: RigOptions,
     seen: Vec<&'static str>,
@@ -345,9 +331,10 @@ fn axis(raw: Raw) -> Result<Option<Axis>, String> {
     }
     // In a query string `+` means a blank, so a bare letter is the positive axis.
     let signed = if name.starts_with(['+', '-']) { name.to_owned() } else { format!("+{name}") };
-    AXES.iter()
-        .find(|(known, _)| *known == signed)
-        .map(|(_, axis)| Some(*axis))
+    Axis::ALL
+        .into_iter()
+        .find(|axis| axis.name() == signed)
+        .map(Some)
         .ok_or_else(|| format!("{raw} is not one of auto, x, -x, y, -y, z, -z"))
 }
 

@@ -1,9 +1,17 @@
 //! The published methods, one file each, composed from mesh, geometry, nets and rig.
 
+pub mod rignet;
+pub mod shape;
+pub mod survey;
+
+pub use crate::geometry::orientation;
+
 use crate::cancellation::{Cancellation, Cancelled};
 use crate::mesh::Mesh;
-use crate::nets::NetError;
+pub use crate::nets::{LoadOptions, Models, NetError};
 use crate::rig::Rig;
+use crate::rig::detect_joints::DetectJointsError;
+pub use crate::rig::detect_joints::Fineness as LevelOfDetail;
 use glam::{DMat3, DVec3};
 
 /// A published way to make a rig.
@@ -66,20 +74,11 @@ pub enum Symmetry {
     Off,
 }
 
-/// How finely to place joints.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Granularity {
-    /// 0 (few joints) to 1 (many); more detail never gives fewer joints.
-    Detail(f64),
-    /// The mean-shift bandwidth h of Eq. 6 itself, in the normalised frame.
-    Bandwidth(f64),
-}
-
 /// What the caller may choose.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RigOptions {
     pub method: Method,
-    pub granularity: Granularity,
+    pub level_of_detail: LevelOfDetail,
     pub symmetry: Symmetry,
     /// Most joints that may move one vertex, 1 to 8.
     pub max_influences: usize,
@@ -91,7 +90,7 @@ impl Default for RigOptions {
     fn default() -> Self {
         Self {
             method: Method::RigNet,
-            granularity: Granularity::Detail(0.5),
+            level_of_detail: LevelOfDetail::Detail(0.5),
             symmetry: Symmetry::Auto,
             max_influences: 4,
             seed: 0,
@@ -174,6 +173,15 @@ impl From<NetError> for RigError {
     }
 }
 
+impl From<DetectJointsError> for RigError {
+    fn from(error: DetectJointsError) -> Self {
+        match error {
+            DetectJointsError::NotFound { tried } => Self::NoJointsFound { tried },
+            DetectJointsError::Cancelled(cancelled) => Self::Cancelled(cancelled),
+        }
+    }
+}
+
 impl RigError {
     /// The stable code of `user-expectations` for errors of a job.
     pub fn code(&self) -> &'static str {
@@ -196,5 +204,21 @@ impl RigError {
             Self::Net(error) => error.hint(),
             Self::Cancelled(_) => "",
         }
+    }
+}
+
+/// Rigs `subject` by the method that `options` name.
+pub fn rig(subject: Subject, models: &Models, options: &RigOptions, watch: Watch) -> Result<Rigged, RigError> {
+    let unavailable =
+        |reason: &str| RigError::MethodUnavailable { method: options.method.name(), reason: reason.to_owned() };
+    match options.method {
+        Method::RigNet => rignet::rig(subject, models.rignet().map_err(unavailable)?, options, watch),
+    }
+}
+
+/// Why `method` cannot run here; `None` when it can.
+pub fn unavailable(method: Method, models: &Models) -> Option<String> {
+    match method {
+        Method::RigNet => models.rignet().err().map(str::to_owned),
     }
 }

@@ -1,4 +1,28 @@
 //! Skeletons and skin weights, and the steps from displaced points to a rig.
+//!
+//! | step                                  | file                                                              |
+//! |---------------------------------------|-------------------------------------------------------------------|
+//! | displaced points → joints             | [`detect_joints`], made of [`joint_clustering`], [`non_maximum_suppression`], [`symmetrize`] |
+//! | joints → tree → skeleton, bones       | [`spanning_tree`], [`skeleton`]                                   |
+//! | bone distances → what the network reads | [`bone_features`]                                               |
+//! | logits → weights                      | [`bone_weights`], [`skin_weights`]                                |
+//! | rig → posed mesh, figures             | [`bind_pose`], [`forward_kinematics`], [`linear_blend_skinning`], [`quality`] |
+
+pub mod bind_pose;
+pub mod bone_features;
+pub mod bone_weights;
+mod cell_grid;
+pub mod detect_joints;
+pub mod forward_kinematics;
+pub mod joint_clustering;
+mod joint_levels;
+pub mod linear_blend_skinning;
+pub mod non_maximum_suppression;
+pub mod quality;
+pub mod skeleton;
+pub mod skin_weights;
+pub mod spanning_tree;
+pub mod symmetrize;
 
 use glam::DVec3;
 

@@ -1,1 +1,58 @@
 //! The HTTP door: extract, call [`crate::jobs`], answer.
+
+pub mod http;
+mod run;
+
+pub use run::{ServeError, run, serve, stop_signal};
+
+use crate::jobs::Jobs;
+use axum::Router;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::sync::Semaphore;
+
+/// What handlers need. Clones share it.
+#[derive(Clone)]
+pub struct App {
+    pub jobs: Jobs,
+    pub limits: Limits,
+    uploads: Arc<Semaphore>,
+}
+
+/// Limits of the door.
+#[derive(Clone, Copy, Debug)]
+pub struct Limits {
+    /// All files of one upload together.
+    pub upload_bytes_max: u64,
+    /// Uploads received at the same time.
+    pub uploads_max: usize,
+    /// Longest pause while an upload arrives.
+    pub upload_pause_max: Duration,
+    /// Longest time that one upload may take, however steadily it trickles.
+    pub upload_time_max: Duration,
+    /// Time that running jobs get when the service is asked to stop.
+    pub grace: Duration,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self {
+            upload_bytes_max: 100 * 1024 * 1024,
+            uploads_max: 32,
+            upload_pause_max: Duration::from_secs(30),
+            upload_time_max: Duration::from_secs(900),
+            grace: Duration::from_secs(30),
+        }
+    }
+}
+
+impl App {
+    pub fn new(jobs: Jobs, limits: Limits) -> Self {
+        Self { jobs, limits, uploads: Arc::new(Semaphore::new(limits.uploads_max)) }
+    }
+}
+
+/// The service as a router; tests call it without a port.
+pub fn app(app: App) -> Router {
+    http::routes(app)
+}

@@ -16,6 +16,12 @@ pub struct Case {
     folder: PathBuf,
 }
 
+/// Where the golden vectors are, or would be.
+pub fn folder() -> PathBuf {
+    std::env::var_os("RIGSMITH_GOLDEN_DIR")
+        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/golden"), PathBuf::from)
+}
+
 /// Every case of the golden folder, sorted by id; empty (and said so on stderr) when the folder is not there.
 pub fn cases() -> Vec<Case> {
     let folder = std::env::var_os("RIGSMITH_GOLDEN_DIR")

@@ -1,1 +1,209 @@
+//! The program as users start it: exit codes, outputs, messages.
 
+use serde_json::Value;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+fn repository() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+}
+
+/// Our own sample character.
+pub fn sample() -> PathBuf {
+    repository().join("tests/fixtures/sample-character.glb")
+}
+
+/// Starts the program in an empty folder, without the variables that would tell it where things are.
+fn rigsmith(folder: &Path, arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_rigsmith"))
+        .args(arguments)
+        .current_dir(folder)
+        .env_remove("ORT_DYLIB_PATH")
+        .env_remove("RIGSMITH_MODELS")
+        .output()
+        .expect("the program starts")
+}
+
+fn stderr(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+fn succeeded(output: &Output) {
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(output));
+}
+
+#[test]
+fn one_command_makes_every_output() {
+    let folder = tempfile::tempdir().expect("folder");
+    let names = ["out.glb", "out.gltf", "out.rig.json", "out.txt", "out.png"];
+    let input = sample();
+    let mut arguments = vec!["rig", input.to_str().expect("path"), "--report", "report.json"];
+    for name in names {
+        arguments.extend(["-o", name]);
+    }
+    succeeded(&rigsmith(folder.path(), &arguments));
+    let read = |name: &str| std::fs::read(folder.path().join(name)).expect(name);
+    assert_eq!(&read("out.glb")[..4], b"glTF");
+    assert_eq!(&read("out.png")[1..4], b"PNG");
+    let document: Value = serde_json::from_slice(&read("out.gltf")).expect("glTF is JSON");
+    assert_eq!(document["skins"].as_array().map(Vec::len), Some(1));
+    let text = String::from_utf8(read("out.txt")).expect("text");
+    assert!(text.starts_with("joints "), "{}", &text[..40]);
+    let report: Value = serde_json::from_slice(&read("report.json")).expect("report is JSON");
+    assert!(report["skeleton"]["joints"].as_u64().is_some_and(|joints| (2..=100).contains(&joints)));
+}
+
+#[test]
+fn rig_json_has_its_fixed_layout() {
+    let folder = tempfile::tempdir().expect("folder");
+    succeeded(&rigsmith(folder.path(), &["rig", sample().to_str().expect("path"), "-o", "out.rig.json"]));
+    let text = std::fs::read(folder.path().join("out.rig.json")).expect("rig.json");
+    let rig: Value = serde_json::from_slice(&text).expect("JSON");
+    assert_eq!(rig["format"], "rigsmith.rig/1");
+    assert_eq!(rig["method"], "rignet");
+    let joints = rig["joints"].as_array().expect("joints");
+    for (index, joint) in joints.iter().enumerate() {
+        match &joint["parent"] {
+            Value::Null => assert_eq!(index, 0, "only the first joint has no parent"),
+            parent => assert!(parent.as_u64().is_some_and(|parent| (parent as usize) < index), "{joint}"),
+        }
+        assert_eq!(joint["position"].as_array().map(Vec::len), Some(3));
+        assert!(joint["name"].as_str().is_some_and(|name| !name.is_empty()));
+    }
+    for skin in rig["skins"].as_array().expect("skins") {
+        let (rows, weights) = (skin["joints"].as_array().expect("rows"), skin["weights"].as_array().expect("rows"));
+        assert_eq!(rows.len(), weights.len());
+        for (row, weights) in rows.iter().zip(weights) {
+            let weights: Vec<f64> = weights.as_array().expect("row").iter().filter_map(Value::as_f64).collect();
+            assert!(!weights.is_empty() && weights.len() <= 4);
+            assert_eq!(row.as_array().map(Vec::len), Some(weights.len()));
+            assert!((weights.iter().sum::<f64>() - 1.0).abs() < 1e-5, "{weights:?}");
+        }
+    }
+}
+
+#[test]
+fn the_same_request_gives_the_same_bytes_for_any_number_of_threads() {
+    let folder = tempfile::tempdir().expect("folder");
+    let input = sample();
+    for (threads, name) in [("1", "one"), ("2", "two"), ("2", "again")] {
+        let (glb, json) = (format!("{name}.glb"), format!("{name}.rig.json"));
+        let input = input.to_str().expect("path");
+        succeeded(&rigsmith(folder.path(), &["rig", input, "--threads", threads, "-o", &glb, "-o", &json]));
+    }
+    let read = |name: String| std::fs::read(folder.path().join(name)).expect("output");
+    for kind in ["glb", "rig.json"] {
+        let one = read(format!("one.{kind}"));
+        assert!(one == read(format!("two.{kind}")), "{kind} differs between 1 and 2 threads");
+        assert!(one == read(format!("again.{kind}")), "{kind} differs between two runs");
+    }
+}
+
+#[test]
+fn bad_arguments_end_with_2_and_name_the_argument() {
+    let folder = tempfile::tempdir().expect("folder");
+    let input = sample();
+    let input = input.to_str().expect("path");
+    for (arguments, word) in [
+        (vec!["rig", input, "-o", "out.glb", "--detail", "7"], "detail"),
+        (vec!["rig", input, "-o", "out.glb", "--detail", "0.5", "--bandwidth", "0.05"], "bandwidth"),
+        (vec!["rig", input, "-o", "out.blend"], "out.blend"),
+        (vec!["rig", input], "output"),
+        (vec!["rig", "no-such-file.glb", "-o", "out.glb"], "no-such-file.glb"),
+        (vec!["polish", input], "polish"),
+    ] {
+        let output = rigsmith(folder.path(), &arguments);
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {}", stderr(&output));
+        assert!(stderr(&output).contains(word), "{arguments:?}: {}", stderr(&output));
+    }
+    assert_eq!(std::fs::read_dir(folder.path()).expect("folder").count(), 0, "a refused request leaves nothing");
+}
+
+#[test]
+fn a_refused_file_ends_with_3_its_code_and_the_next_step() {
+    let folder = tempfile::tempdir().expect("folder");
+    std::fs::write(folder.path().join("empty.glb"), b"").expect("writes");
+    std::fs::write(folder.path().join("points.obj"), b"v 0 0 0\nv 1 0 0\nv 0 1 0\n").expect("writes");
+    for (name, code) in [("empty.glb", "unreadable_mesh"), ("points.obj", "no_geometry")] {
+        let output = rigsmith(folder.path(), &["rig", name, "-o", "out.glb"]);
+        assert_eq!(output.status.code(), Some(3), "{}", stderr(&output));
+        assert!(stderr(&output).contains(code) && stderr(&output).contains("hint:"), "{}", stderr(&output));
+        assert!(!folder.path().join("out.glb").exists());
+    }
+}
+
+#[test]
+fn a_missing_runtime_or_models_folder_names_the_remedy() {
+    let folder = tempfile::tempdir().expect("folder");
+    let runtime = rigsmith(folder.path(), &["methods", "--onnxruntime", "nowhere/libonnxruntime.so"]);
+    assert_eq!(runtime.status.code(), Some(5), "{}", stderr(&runtime));
+    assert!(stderr(&runtime).contains("make ort"), "{}", stderr(&runtime));
+    let models = rigsmith(folder.path(), &["methods", "--models", "nowhere"]);
+    assert_eq!(models.status.code(), Some(5), "{}", stderr(&models));
+    assert!(stderr(&models).contains("RIGSMITH_MODELS"), "{}", stderr(&models));
+}
+
+#[test]
+fn a_network_with_another_digest_makes_its_method_unavailable_and_says_so() {
+    let folder = tempfile::tempdir().expect("folder");
+    let models = folder.path().join("models");
+    std::fs::create_dir(&models).expect("folder");
+    for entry in std::fs::read_dir(repository().join("models/artifacts")).expect("models") {
+        let path = entry.expect("entry").path();
+        if path.is_file() {
+            std::fs::copy(&path, models.join(path.file_name().expect("name"))).expect("copies");
+        }
+    }
+    let network = models.join("rignet_root.onnx");
+    let mut bytes = std::fs::read(&network).expect("network");
+    *bytes.last_mut().expect("bytes") ^= 1;
+    std::fs::write(&network, bytes).expect("writes");
+    let output = rigsmith(folder.path(), &["methods", "--models", "models"]);
+    succeeded(&output);
+    let text = String::from_utf8_lossy(&output.stdout);
+    assert!(text.contains("NOT AVAILABLE") && text.contains("rignet_root") && text.contains("digest"), "{text}");
+    let input = sample();
+    let rig = rigsmith(folder.path(), &["rig", input.to_str().expect("path"), "--models", "models", "-o", "out.glb"]);
+    assert_eq!(rig.status.code(), Some(5), "{}", stderr(&rig));
+    assert!(stderr(&rig).contains("model_unavailable"), "{}", stderr(&rig));
+}
+
+#[test]
+fn check_tells_of_the_mesh_without_networks() {
+    let folder = tempfile::tempdir().expect("folder");
+    let input = sample();
+    let output = rigsmith(folder.path(), &["check", input.to_str().expect("path"), "--json"]);
+    succeeded(&output);
+    let check: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    assert_eq!(check["riggable"], "yes");
+    assert!(check["mesh"]["components"].as_u64().is_some_and(|count| count >= 1), "{check}");
+    assert!(check["estimate"]["seconds"].as_f64().is_some_and(|seconds| seconds > 0.0), "{check}");
+}
+
+#[test]
+fn methods_lists_networks_with_digest_licence_and_self_test() {
+    let folder = tempfile::tempdir().expect("folder");
+    let output = rigsmith(folder.path(), &["methods"]);
+    succeeded(&output);
+    let text = String::from_utf8_lossy(&output.stdout);
+    for word in ["rignet", "available", "licence", "sha256", "rignet_skin", "passed"] {
+        assert!(text.contains(word), "{word} is missing in:\n{text}");
+    }
+}
+
+#[test]
+fn more_detail_never_gives_fewer_joints() {
+    let folder = tempfile::tempdir().expect("folder");
+    let input = sample();
+    let mut last = 0;
+    for detail in ["0", "0.25", "0.5", "0.75", "1"] {
+        let arguments = ["rig", input.to_str().expect("path"), "--detail", detail, "-o", "out.rig.json"];
+        succeeded(&rigsmith(folder.path(), &arguments));
+        let text = std::fs::read(folder.path().join("out.rig.json")).expect("rig.json");
+        let rig: Value = serde_json::from_slice(&text).expect("JSON");
+        let joints = rig["joints"].as_array().map_or(0, Vec::len);
+        assert!((2..=100).contains(&joints), "{joints} joints at detail {detail}");
+        assert!(joints >= last, "{joints} joints at detail {detail}, {last} below it");
+        last = joints;
+    }
+}

@@ -1,0 +1,212 @@
+"""Trained runs -> models/artifacts/*.onnx and manifest.json, each compared with PyTorch before it is written.
+
+    python models/export.py                    every network that has a run
+    python models/export.py rignet_skin        only this one; the others keep their file and their manifest entry
+    python models/export.py --untrained        also networks without a run (right interface, random weights)
+    python models/evaluate.py                  afterwards: fills in the validation figures and the calibration
+"""
+
+import argparse
+import hashlib
+import json
+import time
+from pathlib import Path
+
+import numpy as np
+import onnx
+import onnxruntime
+import torch
+from onnx import TensorProto, helper, numpy_helper
+
+from rigsmith_models import known_answer
+from rigsmith_models.folding import folded
+from rigsmith_models.rignet import NETWORKS
+from rigsmith_models.train.joint_stage import JointStage
+from rigsmith_models.train.trainer import Settings, averaged_network
+
+HERE = Path(__file__).parent
+RUNS, ARTIFACTS = HERE / "runs", HERE / "artifacts"
+MANIFEST = ARTIFACTS / "manifest.json"
+OPSET = 18
+HALF_STORED_MIN = 256  # initialisers with at least so many numbers are stored as float16
+FILE_BYTES_MAX, FOLDER_BYTES_MAX = 16 << 20, 20 << 20
+FORBIDDEN_OPERATORS = {"ScatterElements", "ScatterND", "Scatter"}
+PARITY_TOLERANCE = 1e-4  # of the float32 graph against PyTorch, on outputs of about unit scale
+SELF_TEST_VALUES = 16
+SELF_TEST_TOLERANCE = 1e-3
+
+# Until evaluate.py --calibrate has run: the measured defaults of the design.
+UNTUNED_CALIBRATION = {
+    "bandwidth": 0.05, "mean_shift_steps": 10, "mean_shift_step_length": 0.9, "attention_min": 0.001,
+    "attention_power": 1.0, "mode_density_min": 0.01, "suppression_displacement": 0.5, "middle_max": 0.02,
+}
+
+SHAPES = {
+    "positions": ("V", 3), "one_ring": ("V", "K1"), "geodesic_ball": ("V", "K2"), "joints": ("J", 3), "pairs": ("P", 2),
+    "pair_features": ("P", 2), "bone_features": ("V", 40), "bone_mask": ("V", 5), "displacement": ("V", 3),
+    "attention_logit": ("V",), "bone_logit": ("P",), "root_logit": ("J",), "skin_logit": ("V", 5),
+}
+INTEGER_INPUTS = {"one_ring", "geodesic_ball", "pairs"}
+
+
+def random_inputs(names, seed: int, sizes: dict[str, int]) -> dict[str, np.ndarray]:
+    """Inputs of any size on a plausible shape (points of an ellipsoid), for the export itself and the parity check."""
+    rng = np.random.default_rng(seed)
+    direction = rng.normal(size=(sizes["V"], 3))
+    positions = direction / np.linalg.norm(direction, axis=1, keepdims=True) * [0.2, 0.5, 0.15] + [0, 0.5, 0]
+    nearest = np.linalg.norm(positions[:, None] - positions, axis=2).argsort(1)
+    feed = {}
+    for name in names:
+        shape = [sizes.get(d, d) for d in SHAPES[name]]
+        if name == "positions":
+            feed[name] = positions.astype(np.float32)
+        elif name == "pairs":
+            feed[name] = rng.integers(0, sizes["J"], shape)
+        elif name in INTEGER_INPUTS:
+            feed[name] = np.ascontiguousarray(nearest[:, : shape[1]])
+        elif name == "bone_mask":
+            feed[name] = (np.arange(shape[1]) < rng.integers(1, 6, (shape[0], 1))).astype(np.float32)
+        else:
+            feed[name] = rng.random(shape, np.float32)
+    return feed
+
+
+class OneCharacter(torch.nn.Module):
+    """The network without its batch argument, which the tracer would take for an input."""
+
+    def __init__(self, network: torch.nn.Module):
+        super().__init__()
+        self.network = network
+
+    def forward(self, *inputs):
+        return self.network(*inputs)
+
+
+def to_onnx(network: torch.nn.Module, path: Path) -> None:
+    """Writes the float32 graph with every size dynamic."""
+    names, output = list(network.inputs), network.output
+    example = random_inputs(names, 0, {"V": 48, "K1": 5, "K2": 9, "J": 7, "P": 12})
+    symbols = {n: {axis: d for axis, d in enumerate(SHAPES[n]) if isinstance(d, str)} for n in [*names, output]}
+    torch.onnx.export(
+        OneCharacter(folded(network)), tuple(torch.from_numpy(example[n]) for n in names), str(path), input_names=names,
+        output_names=[output], opset_version=OPSET, dynamic_axes=symbols, dynamo=False,
+    )
+
+
+def store_as_half(model: onnx.ModelProto) -> None:
+    """Large float32 initialisers become float16 plus a Cast, which ONNX Runtime folds at load: compute stays float32."""
+    casts = []
+    for tensor in list(model.graph.initializer):
+        values = numpy_helper.to_array(tensor)
+        if tensor.data_type != TensorProto.FLOAT or values.size < HALF_STORED_MIN:
+            continue
+        half = values.astype(np.float16)
+        if not np.isfinite(half).all():
+            raise ValueError(f"{tensor.name} does not fit float16")
+        model.graph.initializer.remove(tensor)
+        model.graph.initializer.append(numpy_helper.from_array(half, tensor.name + "_half"))
+        casts.append(helper.make_node("Cast", [tensor.name + "_half"], [tensor.name], to=TensorProto.FLOAT))
+    for cast in reversed(casts):
+        model.graph.node.insert(0, cast)
+
+
+def session(path: Path) -> onnxruntime.InferenceSession:
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+
+
+def parity(network, path: Path) -> float:
+    """Largest difference between the graph and PyTorch over sizes that the export did not see."""
+    run = session(path)
+    worst = 0.0
+    for seed, sizes in enumerate(({"V": 200, "K1": 9, "K2": 11, "J": 20, "P": 190}, {"V": 33, "K1": 3, "K2": 4, "J": 2, "P": 1})):
+        feed = random_inputs(network.inputs, seed + 1, sizes)
+        with torch.no_grad():
+            expected = network(*(torch.from_numpy(feed[n]) for n in network.inputs)).numpy()
+        worst = max(worst, float(np.abs(run.run(None, feed)[0] - expected).max()))
+    return worst
+
+
+def self_test(path: Path, names, output: str) -> dict:
+    """Outputs of the shipped file on the known-answer inputs (models/artifacts/README.md)."""
+    values = session(path).run(None, known_answer.inputs(names))[0].astype(np.float64)
+    return {
+        "output": output, "first": [round(float(v), 7) for v in values.reshape(-1)[:SELF_TEST_VALUES]],
+        "mean": round(float(values.mean()), 7), "std": round(float(values.std()), 7), "tolerance": SELF_TEST_TOLERANCE,
+    }
+
+
+def described(names) -> list[dict]:
+    return [{"name": n, "dtype": "int64" if n in INTEGER_INPUTS else "float32", "shape": list(SHAPES[n])} for n in names]
+
+
+def export_one(name: str, run: Path | None) -> dict:
+    if run:
+        network, record = averaged_network(run)
+        settings = record["settings"]
+        training = {
+            "run": f"{name}-seed{settings.seed}-step{record['step']}", "steps": record["step"],
+            "planned_steps": settings.steps, "passes": record["step"] * settings.characters_per_step,
+            "cpu_minutes": round(record["seconds"] / 60, 1), "learning_rate": settings.learning_rate,
+            "data": json.loads((run.parent / "data.json").read_text()) if (run.parent / "data.json").exists() else None,
+        }
+    else:
+        settings = Settings(network=name)
+        torch.manual_seed(settings.seed)
+        network = NETWORKS[name](settings.width, settings.normalisation).eval()
+        training = None
+    path = ARTIFACTS / f"{name}.onnx"
+    temporary = path.with_suffix(".tmp")
+    to_onnx(network, temporary)
+    model = onnx.load(temporary)
+    full_precision_error = parity(network, temporary)
+    if not full_precision_error < PARITY_TOLERANCE:
+        raise SystemExit(f"{name}: the graph differs from PyTorch by {full_precision_error:.2e}")
+    forbidden = {node.op_type for node in model.graph.node} & FORBIDDEN_OPERATORS
+    if forbidden:
+        raise SystemExit(f"{name}: the graph contains {forbidden}")
+    store_as_half(model)
+    model.producer_name, model.producer_version = "rigsmith", ""
+    onnx.checker.check_model(model)
+    onnx.save(model, temporary)
+    half_error = parity(network, temporary)
+    content = temporary.read_bytes()
+    if len(content) > FILE_BYTES_MAX:
+        raise SystemExit(f"{name}: {len(content)} bytes, more than {FILE_BYTES_MAX}")
+    temporary.replace(path)
+    print(f"{name}: {len(content) / 2**20:.2f} MiB, against PyTorch {full_precision_error:.1e}, stored as float16 {half_error:.1e}")
+    return {
+        "file": path.name, "sha256": hashlib.sha256(content).hexdigest(), "bytes": len(content), "opset": OPSET,
+        "inputs": described(network.inputs), "outputs": described([network.output]), "width": settings.width,
+        "normalisation": settings.normalisation, "parameters": sum(p.numel() for p in network.parameters()),
+        "parity": {"float32_graph": float(f"{full_precision_error:.1e}"), "shipped_file": float(f"{half_error:.1e}")},
+        "training": training, "validation": None, "self_test": self_test(path, network.inputs, network.output),
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("networks", nargs="*", choices=[*NETWORKS, []])
+    parser.add_argument("--untrained", action="store_true")
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    ARTIFACTS.mkdir(exist_ok=True)
+    manifest = json.loads(MANIFEST.read_text()) if MANIFEST.exists() else {"networks": {}}
+    manifest["format"] = 1
+    manifest["self_test_formula"] = "models/artifacts/README.md"
+    manifest["exported"] = time.strftime("%Y-%m-%d")
+    manifest["licence"] = json.loads((HERE / "licence.json").read_text())
+    manifest.setdefault("calibration", UNTUNED_CALIBRATION)
+    for name in arguments.networks or NETWORKS:
+        run = RUNS / name / "checkpoint.pt"
+        if run.exists() or arguments.untrained:
+            manifest["networks"][name] = export_one(name, run if run.exists() else None)
+    total = sum(p.stat().st_size for p in ARTIFACTS.glob("*.onnx"))
+    if total > FOLDER_BYTES_MAX:
+        raise SystemExit(f"{total} bytes of models, more than {FOLDER_BYTES_MAX}")
+    MANIFEST.write_text(json.dumps(manifest, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Training and export of Rigsmith's networks. See ``models/TRAINING.md`` for what is trained on what."""

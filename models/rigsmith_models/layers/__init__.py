@@ -1,0 +1,5 @@
+from .dense import Dense, normalisation_layer, perceptron
+from .edge_convolution import EdgeConv, GMEdgeConv
+from .pooling import add_to_graph, maximum_per_graph
+
+__all__ = ["Dense", "EdgeConv", "GMEdgeConv", "add_to_graph", "maximum_per_graph", "normalisation_layer", "perceptron"]

@@ -1,0 +1,209 @@
+"""What each network learns: a batch of characters -> loss. One class per network, all with the same two methods."""
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+
+from ..data.bones import bone_features, candidate_pairs, is_bone, nearest_bones, weights_of_nearest_bones
+from ..data.sampling import padded_joints, shape_batch
+from ..rignet.skin import BONES_PER_VERTEX
+from .joint_stage import BANDWIDTH_LIMITS, mean_shift_states
+
+FAR = 1e3  # longer than any distance in the normalised frame
+JOINT_JITTER = 0.01  # predicted joints are about so far off
+EDIT_PROBABILITY = 0.2  # of dropping a joint, and of inserting one on a bone
+SHARE_JITTER = 0.03  # the inside share of a jittered bone differs from the cached one
+DISTANCE_JITTER = 0.05  # relative, same reason
+HARDEST_SHARE = 0.3
+SHIFT_WEIGHT, MASK_WEIGHT = 2.0, 0.1  # of the mean-shift and mask losses beside the Chamfer distance
+SKIN_MASS_MIN = 0.5  # a vertex whose reference weights lie mostly on other bones than its nearest teaches nothing
+
+
+def chamfer(points: torch.Tensor, joints: torch.Tensor, valid: torch.Tensor) -> torch.Tensor:
+    """RigNet, Eq. 2, unsquared, both directions averaged.
+
+    points: (G, N, 3), joints: (G, J, 3), valid: (G, J) -> (G,).
+    """
+    distance = torch.cdist(points, joints) + FAR * (~valid).unsqueeze(1)
+    to_joint = distance.amin(2).mean(1)
+    to_point = (distance.amin(1) * valid).sum(1) / valid.sum(1)
+    return 0.5 * (to_joint + to_point)
+
+
+class DisplacementObjective:
+    """Chamfer distance between displaced vertices and reference joints."""
+
+    def batch(self, characters, progress, rng, device):
+        batch = shape_batch(characters, rng, device)
+        batch["joints"], batch["valid"] = padded_joints(batch["joints"], device)
+        return batch
+
+    def loss(self, network, batch) -> torch.Tensor:
+        displacement = network(*shape_of(batch))
+        points = (batch["positions"] + displacement.float()).reshape(batch["graph_count"], -1, 3)
+        return chamfer(points, batch["joints"], batch["valid"]).mean()
+
+
+class AttentionObjective:
+    """Binary cross-entropy against the ray mask, the two classes weighted to balance in every batch."""
+
+    def batch(self, characters, progress, rng, device):
+        batch = shape_batch(characters, rng, device)
+        mask = np.concatenate([c.attention_mask[kept] for c, kept in zip(characters, batch["kept"])])
+        batch["mask"] = torch.from_numpy(mask.astype(np.float32)).to(device)
+        return batch
+
+    def loss(self, network, batch) -> torch.Tensor:
+        mask = batch["mask"]
+        share = mask.mean().clamp(0.02, 0.98)
+        weight = torch.where(mask > 0.5, 0.5 / share, 0.5 / (1 - share))
+        return F.binary_cross_entropy_with_logits(network(*shape_of(batch)).float(), mask, weight=weight)
+
+
+class JointStageObjective:
+    """Chamfer of the displaced points + 2 x its mean over the mean-shift states + .1 x the mask's cross-entropy."""
+
+    def batch(self, characters, progress, rng, device):
+        batch = AttentionObjective().batch(characters, progress, rng, device)
+        batch["joints"], batch["valid"] = padded_joints(batch["joints"], device)
+        return batch
+
+    def loss(self, network, batch) -> torch.Tensor:
+        displacement, logit = network(*shape_of(batch))
+        graphs, logit = batch["graph_count"], logit.float()
+        mask_loss = F.binary_cross_entropy_with_logits(logit, batch["mask"])
+        with torch.autocast(logit.device.type, enabled=False):
+            points = (batch["positions"] + displacement.float()).reshape(graphs, -1, 3)
+            bandwidth = network.bandwidth.clamp(*BANDWIDTH_LIMITS)
+            states = mean_shift_states(points, torch.sigmoid(logit).reshape(graphs, -1), bandwidth)
+            direct = chamfer(points, batch["joints"], batch["valid"]).mean()
+            shifted = torch.stack([chamfer(s, batch["joints"], batch["valid"]).mean() for s in states]).mean()
+        return direct + SHIFT_WEIGHT * shifted + MASK_WEIGHT * mask_loss
+
+
+def edited_skeleton(joints, parents, inside_share, rng):
+    """Makes a reference skeleton look predicted: jitter, a joint dropped, a joint inserted on a bone.
+
+    joints: (J, 3), parents: (J,), inside_share: (P,) of the pairs i < j -> joints (J', 3), parents (J',), share (J', J').
+    """
+    count = len(joints)
+    share = np.zeros((count, count), np.float32)
+    pairs = candidate_pairs(count)
+    share[pairs[:, 0], pairs[:, 1]] = inside_share
+    share += share.T
+    joints, parents = joints.copy(), parents.astype(int).copy()
+    if rng.random() < EDIT_PROBABILITY and count > 4:
+        victim = int(rng.integers(1, count))
+        parents[parents == victim] = parents[victim]
+        keep = np.arange(count) != victim
+        renumber = np.cumsum(keep) - 1
+        joints, share = joints[keep], share[np.ix_(keep, keep)]
+        parents = np.where(parents[keep] < 0, -1, renumber[parents[keep]])
+    if rng.random() < EDIT_PROBABILITY:
+        child = int(rng.integers(1, len(joints)))
+        parent, part = parents[child], rng.uniform(0.3, 0.7)
+        row = (1 - part) * share[parent] + part * share[child]  # between the two ends' shares
+        row[[parent, child]] = share[parent, child]
+        share = np.pad(share, ((0, 1), (0, 1)))
+        share[-1, :-1] = share[:-1, -1] = row
+        joints = np.concatenate([joints, [(1 - part) * joints[parent] + part * joints[child]]])
+        parents = np.append(parents, parent)
+        parents[child] = len(joints) - 1
+    joints = (joints + rng.normal(0, JOINT_JITTER, joints.shape)).astype(np.float32)
+    return joints, parents, share
+
+
+class BoneObjective:
+    """Binary cross-entropy over all pairs of joints plus the mean of its hardest 30% (online hard example mining)."""
+
+    def batch(self, characters, progress, rng, device):
+        batch = shape_batch(characters, rng, device, pose=False)
+        edited = [edited_skeleton(j, c.parents, c.inside_share, rng) for j, c in zip(batch["joints"], characters)]
+        batch["joints"], _ = padded_joints([joints for joints, _, _ in edited], device)
+        slots = batch["joints"].shape[1]
+        most = slots * (slots - 1) // 2
+        pairs, features, target, valid = (np.zeros((len(edited), most, *tail), kind) for tail, kind in (
+            ((2,), np.int64), ((2,), np.float32), ((), np.float32), ((), bool)))
+        for graph, (joints, parents, share) in enumerate(edited):
+            own = candidate_pairs(len(joints))
+            count, start, end = len(own), own[:, 0], own[:, 1]
+            length = np.linalg.norm(joints[start] - joints[end], axis=1)
+            inside = np.clip(share[start, end] + rng.normal(0, SHARE_JITTER, count), 0, 1)
+            pairs[graph] = graph * slots
+            pairs[graph, :count] += own
+            features[graph, :count] = np.stack([length, inside], axis=1)
+            target[graph, :count], valid[graph, :count] = is_bone(parents, own), True
+        for name, value in (("pairs", pairs.reshape(-1, 2)), ("pair_features", features.reshape(-1, 2)),
+                            ("target", target.reshape(-1)), ("valid", valid.reshape(-1))):
+            batch[name] = torch.from_numpy(value).to(device)
+        return batch
+
+    def loss(self, network, batch) -> torch.Tensor:
+        logit = network(*shape_of(batch)[:3], batch["joints"].reshape(-1, 3), batch["pairs"], batch["pair_features"],
+                        batch["graph_count"]).float()
+        each = F.binary_cross_entropy_with_logits(logit, batch["target"], reduction="none")[batch["valid"]]
+        return each.mean() + each.topk(int(HARDEST_SHARE * len(each)) + 1).values.mean()
+
+
+class RootObjective:
+    """Cross-entropy of a softmax over the joints of each character."""
+
+    def batch(self, characters, progress, rng, device):
+        batch = shape_batch(characters, rng, device, pose=False)
+        joints, roots = [], []
+        for own, character in zip(batch["joints"], characters):
+            edited, parents, _ = edited_skeleton(own, character.parents, np.zeros(len(candidate_pairs(len(own)))), rng)
+            joints.append(edited)
+            roots.append(int(np.flatnonzero(parents < 0)[0]))
+        batch["joints"], batch["valid"] = padded_joints(joints, device)
+        batch["root"] = torch.tensor(roots, device=device)
+        return batch
+
+    def loss(self, network, batch) -> torch.Tensor:
+        logit = network(*shape_of(batch)[:3], batch["joints"].reshape(-1, 3), batch["graph_count"]).float()
+        logit = logit.reshape(batch["graph_count"], -1).masked_fill(~batch["valid"], -1e4)
+        return F.cross_entropy(logit, batch["root"])
+
+
+class SkinObjective:
+    """Cross-entropy against the reference weights of the 5 nearest bones, renormalised."""
+
+    def batch(self, characters, progress, rng, device):
+        batch = shape_batch(characters, rng, device, pose=False)
+        all_features, all_masks, all_targets = [], [], []
+        for character, kept, joints, scale in zip(characters, batch["kept"], batch["joints"], batch["scale"]):
+            start, end = character.bone_ends[:, 0].astype(int), character.bone_ends[:, 1].astype(int)
+            distance = character.bone_distance[kept].astype(np.float32) * np.abs(scale).mean()
+            distance = distance * np.exp(rng.normal(0, DISTANCE_JITTER, (1, distance.shape[1])))
+            moved = joints + rng.normal(0, JOINT_JITTER, joints.shape)
+            nearest = nearest_bones(distance, BONES_PER_VERTEX)
+            features, mask = bone_features(moved[start], moved[end], start == end, distance, nearest)
+            target = weights_of_nearest_bones(character.skin_weights[kept], start[nearest]) * mask
+            all_features.append(features)
+            all_masks.append(mask)
+            all_targets.append(target)
+        for name, parts in (("bone_features", all_features), ("bone_mask", all_masks), ("target", all_targets)):
+            batch[name] = torch.from_numpy(np.concatenate(parts).astype(np.float32)).to(device)
+        return batch
+
+    def loss(self, network, batch) -> torch.Tensor:
+        logit = network(*shape_of(batch)[:3], batch["bone_features"], batch["bone_mask"], batch["graph_count"]).float()
+        mass = batch["target"].sum(1)
+        target = batch["target"] / mass.clamp(min=1e-6).unsqueeze(1)
+        each = -(target * F.log_softmax(logit, dim=1)).sum(1)
+        taught = mass > SKIN_MASS_MIN
+        return (each * taught).sum() / taught.sum().clamp(min=1)
+
+
+def shape_of(batch: dict) -> tuple:
+    return batch["positions"], batch["one_ring"], batch["geodesic_ball"], batch["graph_count"]
+
+
+OBJECTIVES = {
+    "rignet_displacement": DisplacementObjective,
+    "rignet_attention": AttentionObjective,
+    "rignet_bone": BoneObjective,
+    "rignet_root": RootObjective,
+    "rignet_skin": SkinObjective,
+    "rignet_joint_stage": JointStageObjective,
+}

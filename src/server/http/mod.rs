@@ -1,0 +1,60 @@
+//! The REST interface. A handler extracts, calls [`crate::jobs`], and answers.
+
+pub mod artifacts;
+pub mod error;
+mod file_body;
+mod media;
+mod negotiate;
+pub mod openapi;
+mod outermost;
+mod receive;
+pub mod rigs;
+mod segments;
+pub mod service;
+mod timestamp;
+pub mod views;
+
+use self::error::{ApiError, Code};
+use super::App;
+use axum::Router;
+use axum::extract::DefaultBodyLimit;
+use axum::http::{Method, Uri};
+use axum::middleware::from_fn;
+use axum::routing::{get, post};
+use tower_http::catch_panic::CatchPanicLayer;
+
+/// Every path of the service.
+pub fn routes(app: App) -> Router {
+    Router::new()
+        .route("/", get(openapi::front))
+        .route("/docs", get(openapi::docs))
+        .route("/livez", get(service::livez))
+        .route("/readyz", get(service::readyz))
+        .route("/version", get(service::version))
+        .route("/v1/openapi.json", get(openapi::openapi))
+        .route("/v1/problems", get(service::list_problems))
+        .route("/v1/problems/{code}", get(service::get_problem))
+        .route("/v1/methods", get(service::list_methods))
+        .route("/v1/rigs", get(rigs::list_rigs).post(rigs::create_rig))
+        .route("/v1/rigs:check", post(rigs::check_rig))
+        .route("/v1/rigs/{id}", get(rigs::get_rig).delete(rigs::delete_rig).post(rigs::rig_verb))
+        .route("/v1/rigs/{id}/artifacts", get(artifacts::list_artifacts))
+        .route("/v1/rigs/{id}/artifacts/{name}", get(artifacts::get_artifact))
+        .fallback(no_such_path)
+        .method_not_allowed_fallback(no_such_method)
+        // Uploads have a limit of their own, in `receive`.
+        .layer(DefaultBodyLimit::disable())
+        .layer(CatchPanicLayer::custom(outermost::panicked))
+        .layer(from_fn(outermost::outermost))
+        .with_state(app)
+}
+
+async fn no_such_path(uri: Uri) -> ApiError {
+    ApiError::not_found(&format!("path {}", uri.path())).hint("/docs lists every path")
+}
+
+/// axum adds `Allow`.
+async fn no_such_method(method: Method, uri: Uri) -> ApiError {
+    ApiError::new(Code::MethodNotAllowed, format!("{method} is not for {}", uri.path()))
+        .hint("Allow names the methods of this path; /docs lists every path")
+}

@@ -1,0 +1,393 @@
+//! What goes over the wire as JSON. Built from inner types here, and nowhere else.
+
+use super::error::Limit;
+use super::timestamp::rfc3339;
+use crate::formats::{Finding, Severity};
+use crate::jobs::options::axis_name;
+use crate::jobs::{
+    ArtifactInfo, FileInfo, Job, JobError, JobRequest, JobResult, JobState, LevelOfDetail, ModelInfo, RigOptions,
+};
+use serde::Serialize;
+use serde_json::{Map, Value};
+use sha2::{Digest, Sha256};
+use std::collections::BTreeMap;
+use std::time::Duration;
+use utoipa::{IntoParams, ToSchema};
+
+/// One rig: what was asked, where it stands, and what came out.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(as = Rig)]
+pub struct JobView {
+    #[schema(example = "rig_01jdf5fj63fh5ra1njpy75fmyg")]
+    pub id: String,
+    #[schema(example = "rig")]
+    pub object: &'static str,
+    /// `queued`, `running`, `succeeded`, `failed`, `canceled`; `expired` once the results are gone.
+    #[schema(example = "succeeded")]
+    pub state: &'static str,
+    /// `ingest`, `check`, `normalize`, `geometry`, `joints`, `connect`, `skin`, `transfer`, `export` or `validate`.
+    #[schema(example = "validate")]
+    pub stage: Option<&'static str>,
+    /// Never falls; 100 only with `succeeded`.
+    #[schema(example = 100, minimum = 0, maximum = 100)]
+    pub progress: u8,
+    /// 1 is next; `null` unless queued.
+    #[schema(example = json!(null))]
+    pub queue_position: Option<usize>,
+    /// Canceled while running; the work yields soon.
+    pub cancel_requested: bool,
+    #[schema(example = 1)]
+    pub attempt: u32,
+    #[schema(example = "2026-11-24T15:20:07.042Z", format = DateTime)]
+    pub created_at: String,
+    #[schema(example = "2026-11-24T15:20:07.050Z", format = DateTime)]
+    pub started_at: Option<String>,
+    #[schema(example = "2026-11-24T15:20:10.611Z", format = DateTime)]
+    pub finished_at: Option<String>,
+    /// When the results go.
+    #[schema(example = "2026-11-25T15:20:10.611Z", format = DateTime)]
+    pub expires_at: Option<String>,
+    pub request: OptionsView,
+    /// The files received, the main one first.
+    pub files: Vec<FileView>,
+    #[schema(example = "rignet")]
+    pub method_used: Option<String>,
+    pub provenance: ProvenanceView,
+    /// Milliseconds in the queue and per stage, once the job is over.
+    #[schema(example = json!({"queue": 8, "ingest": 12, "geometry": 840, "joints": 610, "skin": 700}))]
+    pub timings_ms: BTreeMap<&'static str, u64>,
+    pub warnings: Vec<FindingView>,
+    pub result: Option<ResultView>,
+    pub error: Option<JobErrorView>,
+    pub links: LinksView,
+}
+
+/// Options of a rig; each may be given as query parameter, form field or member of the JSON part `options`.
+#[derive(Debug, Serialize, ToSchema, IntoParams)]
+#[schema(as = RigOptions)]
+#[into_params(parameter_in = Query)]
+pub struct OptionsView {
+    /// A method of `GET /v1/methods`, or `auto`.
+    #[param(required = false, default = "auto")]
+    #[schema(example = "auto")]
+    pub method: String,
+    /// How many joints: 0 (few) to 1 (many). Not together with `bandwidth`.
+    #[param(required = false, default = 0.5, minimum = 0, maximum = 1)]
+    #[schema(example = 0.5, minimum = 0, maximum = 1)]
+    pub detail: Option<f64>,
+    /// For experts: RigNet's mean-shift bandwidth in units of the longest side; larger means fewer joints.
+    #[param(required = false, minimum = 0.005, maximum = 0.5)]
+    #[schema(example = json!(null), minimum = 0.005, maximum = 0.5)]
+    pub bandwidth: Option<f64>,
+    /// `auto`, `on` or `off`.
+    #[param(required = false, default = "auto")]
+    #[schema(example = "auto")]
+    pub symmetry: &'static str,
+    /// Joints per vertex at most.
+    #[param(required = false, default = 4, minimum = 1, maximum = 8)]
+    #[schema(example = 4, minimum = 1, maximum = 8)]
+    pub max_influences: usize,
+    /// The same bytes for the same seed.
+    #[param(required = false, default = 0, minimum = 0)]
+    #[schema(example = 0, minimum = 0)]
+    pub seed: u64,
+    /// Which way is up: `auto`, `x`, `-x`, `y`, `-y`, `z` or `-z`.
+    #[param(required = false, default = "auto")]
+    #[schema(example = "auto")]
+    pub up: &'static str,
+    /// Which way the character faces, in the same words.
+    #[param(required = false, default = "auto")]
+    #[schema(example = "auto")]
+    pub front: &'static str,
+    /// For a file that has a skeleton: `reject` or `replace`.
+    #[param(required = false, default = "reject")]
+    #[schema(example = "reject")]
+    pub existing_rig: &'static str,
+    /// Files to make: `glb`, `gltf`, `rig_json`, `rignet_txt`, `preview_png`. In a query or form, separated by commas.
+    #[param(required = false, style = Form, explode = false)]
+    #[schema(example = json!(["glb", "rig_json"]))]
+    pub outputs: Vec<&'static str>,
+}
+
+/// A file of the upload.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(as = UploadedFile)]
+pub struct FileView {
+    #[schema(example = "hero.glb")]
+    pub name: String,
+    #[schema(example = 482_113)]
+    pub bytes: u64,
+    #[schema(example = "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08")]
+    pub sha256: String,
+}
+
+/// Everything that decides the result, beside the options.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(as = Provenance)]
+pub struct ProvenanceView {
+    /// Digest of the file sent; of the list of names and digests when there were several.
+    #[schema(example = "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08")]
+    pub asset_sha256: String,
+    #[schema(example = "0.1.0")]
+    pub service_version: &'static str,
+    /// The networks of the method used.
+    pub models: Vec<ModelView>,
+    pub cached: bool,
+}
+
+/// A network.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(as = Model)]
+pub struct ModelView {
+    #[schema(example = "rignet_skin")]
+    pub name: String,
+    #[schema(example = "2c26b46b68ffc68ff99b453c1d30413413422d706483bfa0f98a5e886266e7ae")]
+    pub sha256: String,
+    /// What the known-answer test at start gave.
+    #[schema(example = "passed")]
+    pub self_test: String,
+}
+
+/// Something worth knowing that did not stop the work.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(as = Finding)]
+pub struct FindingView {
+    #[schema(example = "degenerate_faces")]
+    pub code: &'static str,
+    #[schema(example = "warning")]
+    pub severity: &'static str,
+    #[schema(example = "12 faces have no area and are ignored")]
+    pub message: String,
+    pub hint: String,
+}
+
+/// What came out.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(as = Result)]
+pub struct ResultView {
+    /// `skeleton`, `skin` and further members about the rig.
+    #[serde(flatten)]
+    pub report: Map<String, Value>,
+    /// Empty once the results expired.
+    pub artifacts: Vec<ArtifactView>,
+}
+
+/// A file that was made.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(as = Artifact)]
+pub struct ArtifactView {
+    #[schema(example = "hero.rigged.glb")]
+    pub name: String,
+    #[schema(example = "model/gltf-binary")]
+    pub media_type: &'static str,
+    #[schema(example = 531_004)]
+    pub bytes: u64,
+    #[schema(example = "fcde2b2edba56bf408601fb721fe9b5c338d10ee429ea04fae5511b68fbf8fb9")]
+    pub sha256: String,
+    #[schema(example = "/v1/rigs/rig_01jdf5fj63fh5ra1njpy75fmyg/artifacts/hero.rigged.glb")]
+    pub url: String,
+}
+
+/// Why the job has no result.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(as = JobError)]
+pub struct JobErrorView {
+    #[schema(example = "no_joints_found")]
+    pub code: &'static str,
+    #[schema(example = "joints")]
+    pub stage: Option<&'static str>,
+    #[schema(example = "no joints were found with bandwidths from 0.02 to 0.1")]
+    pub message: String,
+    #[schema(example = "send a mesh of one whole character")]
+    pub hint: Option<String>,
+    pub retryable: bool,
+    /// A page about this kind of problem.
+    #[schema(example = "/v1/problems/no_joints_found")]
+    pub r#type: String,
+    /// The limit that was passed.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub limit: Option<Limit>,
+}
+
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(as = Links)]
+pub struct LinksView {
+    #[schema(example = "/v1/rigs/rig_01jdf5fj63fh5ra1njpy75fmyg")]
+    #[serde(rename = "self")]
+    pub this: String,
+    #[schema(example = "/v1/rigs/rig_01jdf5fj63fh5ra1njpy75fmyg/artifacts")]
+    pub artifacts: String,
+    /// POST here; `null` once the job is over.
+    #[schema(example = "/v1/rigs/rig_01jdf5fj63fh5ra1njpy75fmyg:cancel")]
+    pub cancel: Option<String>,
+}
+
+/// Rigs, newest first.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(as = RigList)]
+pub struct JobListView {
+    #[schema(example = "list")]
+    pub object: &'static str,
+    pub data: Vec<JobView>,
+    /// Give it as `page_token` for the next page; `null` on the last one.
+    pub next_page_token: Option<String>,
+}
+
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(as = ArtifactList)]
+pub struct ArtifactListView {
+    #[schema(example = "list")]
+    pub object: &'static str,
+    pub data: Vec<ArtifactView>,
+}
+
+pub fn hex(digest: &[u8]) -> String {
+    digest.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+fn milliseconds(time: Duration) -> u64 {
+    time.as_millis() as u64
+}
+
+/// Where a job lives.
+pub fn job_path(job: &Job) -> String {
+    format!("/v1/rigs/{}", job.id)
+}
+
+impl From<&Job> for JobView {
+    fn from(job: &Job) -> Self {
+        let path = job_path(job);
+        let result = job.result.as_deref();
+        Self {
+            id: job.id.to_string(),
+            object: "rig",
+            state: job.state.name(),
+            stage: job.stage.map(|stage| stage.name()),
+            progress: job.progress,
+            queue_position: job.queue_position,
+            cancel_requested: job.cancel_requested,
+            attempt: job.attempt,
+            created_at: rfc3339(job.created_at),
+            started_at: job.started_at.map(rfc3339),
+            finished_at: job.finished_at.map(rfc3339),
+            expires_at: job.expires_at.map(rfc3339),
+            request: (&job.request.options).into(),
+            files: job.request.files.iter().map(FileView::from).collect(),
+            method_used: result.map(|result| result.method_used.clone()),
+            provenance: ProvenanceView {
+                asset_sha256: asset_sha256(&job.request),
+                service_version: env!("CARGO_PKG_VERSION"),
+                models: result.map(|result| models(&result.models)).unwrap_or_default(),
+                cached: false,
+            },
+            timings_ms: timings_ms(job).collect(),
+            warnings: result.map(|result| result.findings.iter().map(FindingView::from).collect()).unwrap_or_default(),
+            result: result
+                .map(|result| ResultView { report: result.report.clone(), artifacts: artifacts(job, result) }),
+            error: job.error.as_ref().map(JobErrorView::from),
+            links: LinksView {
+                artifacts: format!("{path}/artifacts"),
+                cancel: (!job.state.is_final()).then(|| format!("{path}:cancel")),
+                this: path,
+            },
+        }
+    }
+}
+
+/// Milliseconds in the queue and per stage, in the order of the work.
+pub fn timings_ms(job: &Job) -> impl Iterator<Item = (&'static str, u64)> {
+    let queue = job.queue_time.map(|time| ("queue", milliseconds(time)));
+    queue.into_iter().chain(job.timings.iter().map(|timing| (timing.stage.name(), milliseconds(timing.duration))))
+}
+
+fn artifacts(job: &Job, result: &JobResult) -> Vec<ArtifactView> {
+    if job.state == JobState::Expired {
+        return Vec::new();
+    }
+    result.artifacts.iter().map(|artifact| ArtifactView::new(job, artifact)).collect()
+}
+
+pub fn models(models: &[ModelInfo]) -> Vec<ModelView> {
+    models
+        .iter()
+        .map(|model| ModelView {
+            name: model.name.clone(),
+            sha256: model.sha256.clone(),
+            self_test: model.self_test.clone(),
+        })
+        .collect()
+}
+
+fn asset_sha256(request: &JobRequest) -> String {
+    if let [file] = &request.files[..] {
+        return hex(&file.sha256);
+    }
+    let mut digest = Sha256::new();
+    for file in &request.files {
+        digest.update(format!("{}  {}\n", hex(&file.sha256), file.name));
+    }
+    hex(&digest.finalize())
+}
+
+impl ArtifactView {
+    pub fn new(job: &Job, artifact: &ArtifactInfo) -> Self {
+        Self {
+            name: artifact.name.clone(),
+            media_type: artifact.media_type,
+            bytes: artifact.bytes,
+            sha256: hex(&artifact.sha256),
+            url: format!("{}/artifacts/{}", job_path(job), artifact.name),
+        }
+    }
+}
+
+impl From<&RigOptions> for OptionsView {
+    fn from(options: &RigOptions) -> Self {
+        let (detail, bandwidth) = match options.level_of_detail {
+            LevelOfDetail::Detail(detail) => (Some(detail), None),
+            LevelOfDetail::Bandwidth(bandwidth) => (None, Some(bandwidth)),
+        };
+        Self {
+            method: options.method.clone().unwrap_or_else(|| "auto".to_owned()),
+            detail,
+            bandwidth,
+            symmetry: options.symmetry.name(),
+            max_influences: options.max_influences,
+            seed: options.seed,
+            up: axis_name(options.up),
+            front: axis_name(options.front),
+            existing_rig: options.existing_rig.name(),
+            outputs: options.outputs.iter().map(|output| output.name()).collect(),
+        }
+    }
+}
+
+impl From<&FileInfo> for FileView {
+    fn from(file: &FileInfo) -> Self {
+        Self { name: file.name.clone(), bytes: file.bytes, sha256: hex(&file.sha256) }
+    }
+}
+
+impl From<&Finding> for FindingView {
+    fn from(finding: &Finding) -> Self {
+        let severity = match finding.severity {
+            Severity::Info => "info",
+            Severity::Warning => "warning",
+        };
+        Self { code: finding.code, severity, message: finding.message.clone(), hint: finding.hint.clone() }
+    }
+}
+
+impl From<&JobError> for JobErrorView {
+    fn from(error: &JobError) -> Self {
+        Self {
+            code: error.code.name(),
+            stage: error.stage.map(|stage| stage.name()),
+            message: error.message.clone(),
+            hint: Some(error.hint.clone()).filter(|hint| !hint.is_empty()),
+            retryable: error.code.retryable(),
+            r#type: format!("/v1/problems/{}", error.code.name()),
+            limit: error.limit.map(Limit::from),
+        }
+    }
+}
