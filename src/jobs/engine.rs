@@ -191,12 +191,13 @@ fn axis_words(direction: glam::DVec3) -> &'static str {
 }
 
 fn refusal(error: &DecodeError, watch: &Watch) -> JobError {
-    let code = ErrorCode::ALL.into_iter().find(|code| code.name() == error.code()).unwrap_or(ErrorCode::UnreadableMesh);
-    staged(JobError::new(code, error.to_string()).hint(error.hint()), watch)
+    let code = ErrorCode::named(error.code()).unwrap_or(ErrorCode::UnreadableMesh);
+    let refused = JobError { limit: error.limit(), ..JobError::new(code, error.to_string()).hint(error.hint()) };
+    staged(refused, watch)
 }
 
 fn rig_failure(error: &RigError, watch: &Watch) -> JobError {
-    let code = ErrorCode::ALL.into_iter().find(|code| code.name() == error.code()).unwrap_or(ErrorCode::Internal);
+    let code = ErrorCode::named(error.code()).unwrap_or(ErrorCode::Internal);
     staged(JobError::new(code, error.to_string()).hint(error.hint()), watch)
 }
 
