@@ -15,7 +15,8 @@
 //! Two joints of one level are farther apart than h/2: modes of h are more than h apart, modes of h/2 more than h/2, and a
 //! part of one mode is more than h/2 away from every other mode, being nearer to its own.
 
-use super::detect_joints::{JOINTS_MAX, JOINTS_MIN, Mode, joint_count, mode_share};
+use super::detect_joints::{JOINTS_MAX, JOINTS_MIN};
+use super::modes::{Mode, joint_count, mode_share};
 use crate::cancellation::Cancelled;
 
 /// The highest level of detail; the lowest is 0.
