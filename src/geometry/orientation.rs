@@ -9,9 +9,9 @@
 //! model over the 24, with a prior for what files usually have, gives their probabilities. Its weights were fitted to
 //! 295 openly licensed characters whose axes are known.
 //!
-//! How well it does (49 other characters): files with the usual axes keep them; of files with z up and −y front the axes
-//! are found for about half, and the rest are taken as +y up and +z front with a confidence that says so. Which of two
-//! opposite ways a character faces is mostly the prior's choice.
+//! How well it does on 49 other characters: all files with the usual axes keep them (98 % of the fitted ones do); of files
+//! with z up and −y front 39 % are recognised, and the rest are taken as +y up and +z front with a confidence that says
+//! so. Which of two opposite ways a character faces is mostly the prior's choice.
 
 use super::point_tree::PointTree;
 use super::surface_samples::SurfaceSamples;
@@ -30,7 +30,7 @@ pub struct Orientation {
 }
 
 /// Other axes than the usual ones are taken only when they are this probable.
-pub const CONFIDENT: f64 = 0.65;
+pub const CONFIDENT: f64 = 0.8;
 
 impl Orientation {
     /// What is assumed when nothing speaks for anything else, and what glTF prescribes.
@@ -74,8 +74,8 @@ pub fn guess_orientation(mesh: &Mesh) -> Orientation {
 /// files; z up and −y front as Blender and CAD programs have it.
 fn prior(up: DVec3, front: DVec3) -> f64 {
     match (up, front) {
-        (DVec3::Y, DVec3::Z) => 3.5,
-        (DVec3::Z, DVec3::NEG_Y) => 3.2,
+        (DVec3::Y, DVec3::Z) => 4.0,
+        (DVec3::Z, DVec3::NEG_Y) => 3.0,
         (DVec3::Y | DVec3::Z, _) => 1.0,
         _ => 0.0,
     }

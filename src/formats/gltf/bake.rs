@@ -199,7 +199,7 @@ impl<'a> Edit<'a> {
         if !is_kept {
             self.transform(&mut floats, role, frame)?;
         }
-        if *role == Role::Position {
+        if matches!(role, Role::Position | Role::PositionDelta) {
             check_positions(&floats, &place)?;
         }
         let bytes: Vec<u8> = floats.iter().flat_map(|value| value.to_le_bytes()).collect();

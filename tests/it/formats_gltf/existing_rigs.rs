@@ -7,13 +7,13 @@ use serde_json::json;
 use std::path::Path;
 
 /// The body with a skin of two joints below an armature, in a pose that is not the bind pose; a camera hangs on a joint.
-fn rigged_fixture() -> Builder {
+pub fn rigged_fixture() -> Builder {
     let mut builder = Builder::new();
     let mesh = builder.body(&body());
     let joints_view = builder.view(&[0, 1, 0, 0].repeat(24));
     let joints = json!({ "bufferView": joints_view, "componentType": 5121, "count": 24, "type": "VEC4" });
     let joints = builder.push("accessors", joints);
-    let weights = builder.floats(&vec![[0.75, 0.25, 0.0, 0.0]; 24]);
+    let weights = builder.floats(&[[0.75, 0.25, 0.0, 0.0]; 24]);
     let inverse = [DMat4::IDENTITY, DMat4::from_translation(DVec3::new(0.0, -1.0, 0.0))];
     let inverse = builder.floats(&inverse.map(|matrix| matrix.as_mat4().to_cols_array()));
     let attributes = &mut builder.json["meshes"][mesh]["primitives"][0]["attributes"];

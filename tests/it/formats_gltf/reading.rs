@@ -122,7 +122,7 @@ fn sparse_positions_are_read_and_stay_sparse() {
 }
 
 /// The body with positions in normalized shorts, normals in normalized bytes and texture coordinates in shorts.
-fn quantised() -> Builder {
+pub fn quantised() -> Builder {
     let mut builder = Builder::new();
     let body = body();
     let short = |value: f32| ((value / 2.0 * 32767.0).round() as i16).to_le_bytes();
@@ -172,6 +172,10 @@ fn quantised_geometry_becomes_floats() {
     let primitive = document.meshes().next().unwrap().primitives().next().unwrap();
     let reader = primitive.reader(|_| document.blob.as_deref());
     assert!(reader.read_tex_coords(0).unwrap().into_f32().all(|pair| pair == [200.0, 300.0]));
+}
+
+pub fn compressed() -> Vec<u8> {
+    meshopt_compressed("EXT_meshopt_compression")
 }
 
 /// The same file with every view compressed, as gltfpack writes it.

@@ -1,7 +1,8 @@
 //! What is refused, by which code, and that nothing hostile panics.
 
 use super::fixtures::*;
-use rigsmith::formats::{DecodeError, DecodeOptions, Limits, NoSiblings, decode};
+use super::{existing_rigs, reading, unchanged};
+use rigsmith::formats::{DecodeError, DecodeOptions, ExistingRigPolicy, Limits, NoSiblings, decode};
 use serde_json::{Value, json};
 
 /// The refusal of the plain fixture after `change`; it must say what to do next.
@@ -39,6 +40,71 @@ fn every_changed_byte_of_a_valid_glb_decodes_or_is_refused_without_panic() {
                 // What is accepted can be written, too.
                 let rig = simple_rig(&asset);
                 rigsmith::formats::gltf::encode_glb(&asset, &rig, &Default::default()).expect("writes");
+            }
+        }
+    }
+}
+
+/// Pointers to every value of a document.
+fn pointers(json: &Value, at: &str, found: &mut Vec<String>) {
+    found.push(at.to_owned());
+    match json {
+        Value::Object(members) => {
+            members.iter().for_each(|(key, value)| pointers(value, &format!("{at}/{key}"), found))
+        }
+        Value::Array(list) => {
+            list.iter().enumerate().for_each(|(i, value)| pointers(value, &format!("{at}/{i}"), found))
+        }
+        _ => {}
+    }
+}
+
+#[test]
+fn every_value_replaced_by_any_other_kind_decodes_or_is_refused_without_panic() {
+    let strange = [
+        json!(null),
+        json!(true),
+        json!(-1),
+        json!(0),
+        json!(1),
+        json!(5),
+        json!(5121),
+        json!(0.5),
+        json!(1e300),
+        json!(u64::MAX),
+        json!("x"),
+        json!("SCALAR"),
+        json!([]),
+        json!([0]),
+        json!([1, 1, 1]),
+        json!([{}]),
+        json!({}),
+    ];
+    let options = DecodeOptions { existing_rig: ExistingRigPolicy::Replace, allow_missing_textures: true };
+    for fixture in [
+        existing_rigs::rigged_fixture().glb(),
+        reading::quantised().glb(),
+        reading::compressed(),
+        unchanged::rich().glb(),
+    ] {
+        let (json, binary) = open(&fixture);
+        let mut all = Vec::new();
+        pointers(&json, "", &mut all);
+        for pointer in &all {
+            for value in &strange {
+                let mut changed = json.clone();
+                *changed.pointer_mut(pointer).unwrap() = value.clone();
+                let sent = glb(&changed, &binary);
+                if let Ok(asset) = decode("a.glb", &sent, &NoSiblings, &Limits::default(), &options) {
+                    let rig = simple_rig(&asset);
+                    let written = rigsmith::formats::gltf::encode_glb(&asset, &rig, &Default::default());
+                    let written = written.unwrap_or_else(|error| panic!("{pointer} = {value}: {error}"));
+                    // Our own output is read again, as rigged.
+                    assert!(
+                        decode("a.glb", &written, &NoSiblings, &Limits::default(), &options).is_ok(),
+                        "{pointer} = {value}"
+                    );
+                }
             }
         }
     }

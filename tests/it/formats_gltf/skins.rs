@@ -155,7 +155,7 @@ fn a_rig_that_does_not_fit_the_mesh_is_not_written() {
 #[test]
 fn animations_of_a_mesh_node_are_dropped_and_those_of_its_morph_weights_kept() {
     let mut builder = plain();
-    let deltas = builder.floats(&vec![[0.0, 0.1, 0.0]; 24]);
+    let deltas = builder.floats(&[[0.0, 0.1, 0.0]; 24]);
     builder.json["meshes"][0]["primitives"][0]["targets"] = json!([{ "POSITION": deltas }]);
     let (times, values) = (builder.floats(&[[0.0], [1.0]]), builder.floats(&[[0.0], [1.0]]));
     let moves = builder.floats(&[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]);

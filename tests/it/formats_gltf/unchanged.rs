@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
 
 /// A file with something of everything that must come through.
-fn rich() -> Builder {
+pub fn rich() -> Builder {
     let mut builder = plain();
     let image = builder.view(&pixel());
     builder.push("images", json!({ "bufferView": image, "mimeType": "image/png", "name": "skin" }));
@@ -14,7 +14,7 @@ fn rich() -> Builder {
     builder.push("samplers", json!({ "wrapS": 33071 }));
     builder.push("textures", json!({ "source": 0, "sampler": 0 }));
     builder.push("textures", json!({ "source": 1 }));
-    let coordinates = builder.floats(&vec![[0.25, 0.75]; 24]);
+    let coordinates = builder.floats(&[[0.25, 0.75]; 24]);
     builder.json["meshes"][0]["primitives"][0]["attributes"]["TEXCOORD_0"] = json!(coordinates);
     builder.push(
         "materials",
@@ -27,7 +27,7 @@ fn rich() -> Builder {
     builder
         .root(json!({ "name": "Camera", "camera": 0, "translation": [0, 1.0, 5], "extras": { "order": ["z", "a"] } }));
     builder.push("scenes", json!({ "name": "other", "nodes": [1] }));
-    let deltas = builder.floats(&vec![[0.0, 0.1, 0.0]; 24]);
+    let deltas = builder.floats(&[[0.0, 0.1, 0.0]; 24]);
     let times = builder.floats(&[[0.0], [1.0]]);
     let weights = builder.floats(&[[0.0], [1.0]]);
     builder.json["meshes"][0]["primitives"][0]["targets"] = json!([{ "POSITION": deltas }]);
