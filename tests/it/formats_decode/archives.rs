@@ -17,6 +17,20 @@ fn an_archive_gives_its_mesh_with_the_textures_beside_it() {
 }
 
 #[test]
+fn an_archive_gives_a_gltf_its_buffer() {
+    let json = triangle_gltf(Some("data/tri%20angle.bin".into()));
+    let buffer = triangle_buffer();
+    let bytes = zip_of(&[entry("model/data/tri angle.bin", &buffer), entry("model/scene.gltf", &json)]);
+    let asset = accept("upload.zip", &bytes);
+    assert_eq!((asset.format, asset.mesh.positions.len(), asset.parts.len()), (Format::Gltf, 6, 2));
+    let error = refusal("upload.zip", &zip_of(&[entry("scene.gltf", &json)]));
+    assert_eq!(error.code(), "missing_resource");
+    assert!(error.to_string().contains("data/tri"), "{error}");
+    let glb = glb(triangle_gltf(None), &buffer);
+    assert_eq!(accept("upload.zip", &zip_of(&[entry("scene.glb", &glb)])).format, Format::Glb);
+}
+
+#[test]
 fn the_main_file_of_an_archive_is_chosen_the_same_way_each_time() {
     let ply = ascii_ply();
     let stl = binary_stl();

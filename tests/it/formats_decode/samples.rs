@@ -349,3 +349,43 @@ fn write_fbx_value(value: &str, bytes: &mut Vec<u8>) {
         bytes.extend(value.parse::<f64>().expect("a number").to_le_bytes());
     }
 }
+
+/// A triangle as glTF, with its buffer as a data URI or in a GLB.
+pub fn triangle_gltf(uri: Option<String>) -> Vec<u8> {
+    let uri = uri.map_or_else(String::new, |uri| format!(r#","uri":"{uri}""#));
+    format!(
+        r#"{{"asset":{{"version":"2.0"}},"scene":0,"scenes":[{{"nodes":[0]}}],
+"nodes":[{{"mesh":0,"translation":[0,1,0],"scale":[1,-1,2],"children":[1]}},{{"mesh":0,"name":"b","rotation":[0,0,0,1]}}],
+"meshes":[{{"primitives":[{{"attributes":{{"POSITION":0,"NORMAL":0}},"indices":1,"mode":4,"material":0,
+"targets":[{{"POSITION":0}}]}}],"weights":[0.5]}}],
+"materials":[{{"pbrMetallicRoughness":{{"baseColorFactor":[1,0,0,1]}},"doubleSided":true}}],
+"accessors":[{{"bufferView":0,"componentType":5126,"count":3,"type":"VEC3","min":[0,0,0],"max":[1,1,0],
+"sparse":{{"count":1,"indices":{{"bufferView":1,"componentType":5123}},"values":{{"bufferView":0}}}}}},
+{{"bufferView":1,"componentType":5123,"count":3,"type":"SCALAR"}}],
+"bufferViews":[{{"buffer":0,"byteLength":36}},{{"buffer":0,"byteOffset":36,"byteLength":8}}],
+"buffers":[{{"byteLength":44{uri}}}]}}"#
+    )
+    .into_bytes()
+}
+
+/// Positions and indices of [`triangle_gltf`].
+pub fn triangle_buffer() -> Vec<u8> {
+    let positions: [f32; 9] = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0];
+    let mut buffer: Vec<u8> = positions.iter().flat_map(|value| value.to_le_bytes()).collect();
+    buffer.extend([0_u16, 1, 2, 0].iter().flat_map(|value| value.to_le_bytes()));
+    buffer
+}
+
+/// A GLB of two chunks.
+pub fn glb(mut json: Vec<u8>, buffer: &[u8]) -> Vec<u8> {
+    json.resize(json.len().next_multiple_of(4), b' ');
+    let mut bytes = b"glTF\x02\0\0\0".to_vec();
+    bytes.extend((28 + json.len() as u32 + buffer.len() as u32).to_le_bytes());
+    bytes.extend((json.len() as u32).to_le_bytes());
+    bytes.extend(b"JSON");
+    bytes.extend(json);
+    bytes.extend((buffer.len() as u32).to_le_bytes());
+    bytes.extend(b"BIN\0");
+    bytes.extend(buffer);
+    bytes
+}
