@@ -37,7 +37,6 @@ WORKDIR /var/lib/rigsmith
 ENV RIGSMITH_LISTEN=0.0.0.0:8080 RIGSMITH_DATA=/var/lib/rigsmith/data
 EXPOSE 8080
 VOLUME /var/lib/rigsmith
-# Bash speaks TCP, so the image needs no client for this.
 HEALTHCHECK --interval=10s --timeout=5s --start-period=30s --retries=3 \
-    CMD ["bash", "-c", "exec 3<>/dev/tcp/127.0.0.1/8080 && printf 'GET /readyz HTTP/1.0\\r\\nHost: localhost\\r\\n\\r\\n' >&3 && head -n 1 <&3 | grep -q ' 200 '"]
+    CMD ["rigsmith", "health", "--listen", "127.0.0.1:8080"]
 CMD ["rigsmith", "serve"]
