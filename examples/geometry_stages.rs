@@ -1,5 +1,6 @@
 //! CPU time of every geometry stage on one character of a rig archive:
-//! `cargo run --release --example geometry_stages -- ARCHIVE.npz INDEX`.
+//! `cargo run --release --example geometry_stages -- ARCHIVE.npz INDEX [SUBDIVISIONS]`.
+//! Every subdivision makes four faces of one.
 
 use glam::DVec3;
 use rigsmith::formats::npz::Arrays;
@@ -40,6 +41,21 @@ fn timed<T>(name: &str, total: &mut f64, stage: impl Fn() -> T) -> T {
     result
 }
 
+fn subdivided(mesh: &Mesh) -> Mesh {
+    let mut finer = Mesh { positions: mesh.positions.clone(), triangles: Vec::new() };
+    let mut middles = std::collections::HashMap::new();
+    for &[a, b, c] in &mesh.triangles {
+        let [ab, bc, ca] = [(a, b), (b, c), (c, a)].map(|(from, to)| {
+            *middles.entry((from.min(to), from.max(to))).or_insert_with(|| {
+                finer.positions.push((mesh.positions[from as usize] + mesh.positions[to as usize]) * 0.5);
+                finer.positions.len() as u32 - 1
+            })
+        });
+        finer.triangles.extend([[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]);
+    }
+    finer
+}
+
 fn main() {
     let mut arguments = std::env::args().skip(1);
     let path = arguments.next().expect("an archive");
@@ -47,10 +63,15 @@ fn main() {
     let arrays = Arrays::read(&std::fs::read(path).expect("the archive reads")).expect("an archive");
     let array = |name: &str| arrays.get(&format!("{index:04}/{name}")).expect("a sample").to_f64();
     let points = |name: &str| array(name).chunks_exact(3).map(DVec3::from_slice).collect::<Vec<_>>();
-    let upload = Mesh {
+    let subdivisions: usize = arguments.next().map_or(0, |word| word.parse().expect("a count"));
+    let mut upload = Mesh {
         positions: points("vertices"),
         triangles: array("faces").chunks_exact(3).map(|face| [0, 1, 2].map(|k| face[k] as u32)).collect(),
     };
+    for _ in 0..subdivisions {
+        upload = subdivided(&upload);
+    }
+    println!("upload V {} F {}", upload.positions.len(), upload.triangles.len());
     let (joints, parents) = (points("joints"), array("parents"));
     let mut bones: Vec<Segment> = Vec::new();
     for (joint, &parent) in parents.iter().enumerate().skip(1) {

@@ -24,7 +24,7 @@ from rigsmith_models.evaluation.metrics import bootstrap_interval
 ARTIFACTS = Path(__file__).parent / "artifacts"
 MANIFEST = ARTIFACTS / "manifest.json"
 BANDWIDTHS = (0.03, 0.04, 0.05, 0.06)
-DENSITIES = (0.005, 0.01, 0.02)
+DENSITIES = (0.01, 0.02)
 ATTENTION_POWERS = (1.0, 2.0)
 JOINT_RATIOS = (0.7, 1.4)  # predicted / reference joint count that a calibrated setting must keep
 
@@ -117,11 +117,27 @@ def main() -> None:
         manifest["networks"][name]["validation"] = {
             "characters": {"organic": len(organic), "box": len(boxes)}, **{key: results[key] for key in keys}}
     MANIFEST.write_text(json.dumps(manifest, indent=1) + "\n")
+    write_ledger(results, networks, characters, settings)
     for key, figures in results.items():
         print(key, "  ".join(f"{n} {f['mean']:.4f} [{f['interval'][0]:.4f}, {f['interval'][1]:.4f}]" for n, f in figures.items()))
+
+
+LEDGER = Path(__file__).parent / "TRAINING.md"
+LEDGER_MARKS = ("<!-- figures of evaluate.py -->", "<!-- end of figures -->")
+
+
+def write_ledger(results: dict, networks: dict[str, Network], characters: list, settings: Clustering) -> None:
+    """Puts every figure as a table between two marks of TRAINING.md."""
+    lines = ["| stage | figure | mean | 95% of the mean |", "|---|---|---|---|"]
+    for stage, figures in results.items():
+        lines += [f"| {stage} | {name} | {f['mean']:.4f} | {f['interval'][0]:.4f} to {f['interval'][1]:.4f} |" for name, f in figures.items()]
     vertices = np.mean([len(c.positions) for c in characters])
-    print("CPU seconds per run, one thread, at", f"{vertices:.0f} vertices:",
-          {n: round(float(np.mean(net.seconds)), 3) for n, net in networks.items()})
+    seconds = ", ".join(f"{name.removeprefix('rignet_')} {np.mean(net.seconds):.3f}" for name, net in networks.items())
+    lines += ["", f"Clustering: {settings}.", "",
+              f"CPU seconds of one run at {vertices:.0f} vertices on average, one thread, machine shared with others: {seconds}."]
+    before, _, rest = LEDGER.read_text().partition(LEDGER_MARKS[0])
+    after = rest.partition(LEDGER_MARKS[1])[2]
+    LEDGER.write_text("\n".join([before + LEDGER_MARKS[0], "", *lines, "", LEDGER_MARKS[1] + after]))
 
 
 if __name__ == "__main__":

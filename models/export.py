@@ -3,6 +3,7 @@
     python models/export.py                    every network that has a run
     python models/export.py rignet_skin        only this one; the others keep their file and their manifest entry
     python models/export.py --untrained        also networks without a run (right interface, random weights)
+    python models/export.py --joint-stage      displacement and attention from the joint fine-tuning
     python models/evaluate.py                  afterwards: fills in the validation figures and the calibration
 """
 
@@ -141,21 +142,34 @@ def described(names) -> list[dict]:
     return [{"name": n, "dtype": "int64" if n in INTEGER_INPUTS else "float32", "shape": list(SHAPES[n])} for n in names]
 
 
-def export_one(name: str, run: Path | None) -> dict:
-    if run:
-        network, record = averaged_network(run)
-        settings = record["settings"]
-        training = {
-            "run": f"{name}-seed{settings.seed}-step{record['step']}", "steps": record["step"],
-            "planned_steps": settings.steps, "passes": record["step"] * settings.characters_per_step,
-            "cpu_minutes": round(record["seconds"] / 60, 1), "learning_rate": settings.learning_rate,
-            "data": json.loads((run.parent / "data.json").read_text()) if (run.parent / "data.json").exists() else None,
-        }
-    else:
+def training_record(name: str, run: Path, record: dict) -> dict:
+    settings, data = record["settings"], run.parent / "data.json"
+    return {
+        "run": f"{name}-seed{settings.seed}-step{record['step']}", "steps": record["step"], "planned_steps": settings.steps,
+        "passes": record["step"] * settings.characters_per_step, "cpu_minutes": round(record["seconds"] / 60, 1),
+        "learning_rate": settings.learning_rate, "data": json.loads(data.read_text()) if data.exists() else None,
+    }
+
+
+def trained(name: str, joint_stage: bool) -> tuple[torch.nn.Module, Settings, dict | None]:
+    """The network with the weights to ship, its settings and its training record (None: random weights)."""
+    run, fine_tuning = RUNS / name / "checkpoint.pt", RUNS / "rignet_joint_stage" / "checkpoint.pt"
+    if not run.exists():
         settings = Settings(network=name)
         torch.manual_seed(settings.seed)
-        network = NETWORKS[name](settings.width, settings.normalisation).eval()
-        training = None
+        return NETWORKS[name](settings.width, settings.normalisation).eval(), settings, None
+    network, record = averaged_network(run)
+    training = training_record(name, run, record)
+    part = {whole: part for part, whole in JointStage.parts.items()}.get(name)
+    if joint_stage and part:
+        both, tuning = averaged_network(fine_tuning)
+        network = getattr(both, part)
+        training["then"] = training_record("rignet_joint_stage", fine_tuning, tuning)
+    return network, record["settings"], training
+
+
+def export_one(name: str, joint_stage: bool) -> dict:
+    network, settings, training = trained(name, joint_stage)
     path = ARTIFACTS / f"{name}.onnx"
     temporary = path.with_suffix(".tmp")
     to_onnx(network, temporary)
@@ -189,6 +203,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("networks", nargs="*", choices=[*NETWORKS, []])
     parser.add_argument("--untrained", action="store_true")
+    parser.add_argument("--joint-stage", action="store_true")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     ARTIFACTS.mkdir(exist_ok=True)
@@ -199,9 +214,8 @@ def main() -> None:
     manifest["licence"] = json.loads((HERE / "licence.json").read_text())
     manifest.setdefault("calibration", UNTUNED_CALIBRATION)
     for name in arguments.networks or NETWORKS:
-        run = RUNS / name / "checkpoint.pt"
-        if run.exists() or arguments.untrained:
-            manifest["networks"][name] = export_one(name, run if run.exists() else None)
+        if (RUNS / name / "checkpoint.pt").exists() or arguments.untrained:
+            manifest["networks"][name] = export_one(name, arguments.joint_stage)
     total = sum(p.stat().st_size for p in ARTIFACTS.glob("*.onnx"))
     if total > FOLDER_BYTES_MAX:
         raise SystemExit(f"{total} bytes of models, more than {FOLDER_BYTES_MAX}")

@@ -7,6 +7,7 @@ The run lives in models/runs/<name>/ (not committed). Stop it at any moment; the
 """
 
 import argparse
+import json
 import sys
 from pathlib import Path
 
@@ -17,6 +18,15 @@ from rigsmith_models.train.schedule import PLANS, next_due
 from rigsmith_models.train.trainer import Run, Settings
 
 RUNS = Path(__file__).parent / "runs"
+
+
+def record_data(run: Run, pool: Pool) -> None:
+    """Appends to the run's data.json what it is trained on from this step, when that has changed."""
+    path = run.folder / "data.json"
+    history = json.loads(path.read_text()) if path.exists() else []
+    now = {"characters": pool.counts(), "features": pool.features()}
+    if not history or {k: history[-1][k] for k in now} != now:
+        path.write_text(json.dumps([*history, {"from_step": run.step, **now}], indent=1))
 
 
 def main() -> None:
@@ -51,7 +61,9 @@ def main() -> None:
     run = Run(RUNS / (arguments.name or plan.network), settings, device, arguments.resume)
     if run.path.exists() and not arguments.resume:
         sys.exit(f"{run.path} exists; pass --resume to go on, or --name for another run")
-    run.train(Pool(arguments.data), arguments.minutes)
+    pool = Pool(arguments.data)
+    record_data(run, pool)
+    run.train(pool, arguments.minutes)
     print(f"{settings.network}: step {run.step} of {settings.steps}, {run.seconds / 60:.1f} CPU minutes in all")
 
 

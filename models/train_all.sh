@@ -10,6 +10,6 @@ export OMP_NUM_THREADS="${OMP_NUM_THREADS:-1}"
 folder=$(dirname "$0")
 while [ "$(date +%s)" -lt "$end" ]; do
     left=$(((end - $(date +%s)) / 60 + 1))
-    slice=$((left < 6 ? left : 6))
+    slice=$((left < 9 ? left : 9))
     "${PYTHON:-python}" "$folder/train.py" due --data "$@" --minutes "$slice" --resume || exit 0
 done

@@ -94,3 +94,8 @@ def test_thinning_keeps_only_neighbours_that_are_there(stick_figures):
         for row in range(vertex_count):
             original = set(stick_figures[0].one_ring[kept[row]]) | {kept[row]}
             assert set(kept[ring[row]]) <= original
+
+
+def test_thinning_gives_rows_of_one_width_even_when_the_cache_has_fewer_columns(stick_figures):
+    _, ring, ball = augment.thin(stick_figures[0], 40, 20, 30, np.random.default_rng(1))
+    assert ring.shape == (40, 21) and ball.shape == (40, 31)

@@ -12,6 +12,7 @@ mod limits;
 mod mtl;
 pub mod npz;
 pub mod obj;
+mod obj_statements;
 pub mod ply;
 mod ply_header;
 mod polygon;

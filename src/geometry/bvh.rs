@@ -359,3 +359,68 @@ impl Triangle {
         if all > 0.0 { at(vb / all, vc / all) } else { at(0.0, 0.0) }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mesh::test_shapes::{degenerate, sphere, torus};
+    use proptest::prelude::*;
+
+    fn brute_first(mesh: &Mesh, origin: DVec3, direction: DVec3) -> Option<f64> {
+        let hits = (0..mesh.triangles.len()).filter_map(|face| {
+            let [a, b, c] = mesh.corners(face);
+            Triangle { corner: a, edge_1: b - a, edge_2: c - a }.ray(origin, direction)
+        });
+        hits.min_by(f64::total_cmp)
+    }
+
+    proptest! {
+        #[test]
+        fn rays_and_nearest_points_agree_with_all_triangles(
+            from in prop::array::uniform3(-1.0..1.0f64), to in prop::array::uniform3(-1.0..1.0f64), ring in any::<bool>(),
+        ) {
+            let mesh = if ring { torus(0.5, 0.2, 24) } else { sphere(DVec3::ZERO, 0.6, 24) };
+            let surface = Bvh::new(&mesh);
+            let (from, direction) = (DVec3::from(from), DVec3::from(to) - DVec3::from(from));
+            let first = brute_first(&mesh, from, direction);
+            prop_assert_eq!(surface.first_hit(from, direction).map(|hit| hit.t), first);
+            for limit in [0.1, 0.5, 1.0, 5.0] {
+                prop_assert_eq!(surface.any_hit(from, direction, limit), first.is_some_and(|t| t <= limit));
+            }
+            let nearest = surface.nearest_point(from).unwrap();
+            let all = (0..mesh.triangles.len()).map(|face| nearest_on_triangle(mesh.corners(face), from).0.distance(from));
+            prop_assert!((nearest.distance - all.fold(f64::INFINITY, f64::min)).abs() < 1e-15);
+            let corners = mesh.corners(nearest.triangle as usize);
+            let blended: DVec3 = corners.iter().zip(nearest.barycentric).map(|(&corner, weight)| corner * weight).sum();
+            prop_assert!(blended.distance(nearest.position) < 1e-12);
+            prop_assert!((nearest.barycentric.iter().sum::<f64>() - 1.0).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn rays_through_shared_edges_and_corners_are_stopped() {
+        let mesh = sphere(DVec3::ZERO, 0.5, 16);
+        let surface = Bvh::new(&mesh);
+        for &[a, b, c] in &mesh.triangles {
+            let [a, b, c] = [a, b, c].map(|corner| mesh.positions[corner as usize]);
+            for target in [a, (a + b) * 0.5, (b + c) * 0.5, (c + a) * 0.5] {
+                assert!(surface.any_hit(DVec3::new(0.01, 0.02, 0.03), target - DVec3::new(0.01, 0.02, 0.03), 1.1));
+            }
+        }
+    }
+
+    #[test]
+    fn degenerate_meshes_are_searched_without_harm() {
+        for mesh in degenerate() {
+            let surface = Bvh::new(&mesh);
+            for origin in [DVec3::ZERO, DVec3::splat(0.2), DVec3::splat(1e200)] {
+                surface.first_hit(origin, DVec3::X);
+                surface.any_hit(origin, DVec3::ZERO, 1.0);
+                let nearest = surface.nearest_point(origin);
+                assert!(nearest.is_none() || !mesh.triangles.is_empty());
+            }
+        }
+        let one_place = Mesh { positions: vec![DVec3::ZERO; 3], triangles: vec![[0, 1, 2]; 10_000] };
+        assert!(Bvh::new(&one_place).nearest_point(DVec3::X).is_some());
+    }
+}

@@ -8,6 +8,7 @@ pub mod bvh;
 pub mod close_pairs;
 pub mod neighbor_table;
 pub mod orientation;
+pub mod place_hash;
 pub mod point_tree;
 pub mod surface_geodesic;
 pub mod surface_samples;

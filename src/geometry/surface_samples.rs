@@ -7,11 +7,14 @@
 //!
 //! Out: positions and normals `[S, 3]`, S = `count` on any surface with an area.
 //! # Departures from the published code
-//! - Candidates are not random: every triangle is halved across its longest edge until its pieces are small, and the
-//!   pieces' middles are the candidates. They depend on the shape alone, not on how it is numbered or where it stands.
+//! - Candidates are not drawn from a sequence: every triangle is halved across its longest edge until its pieces are
+//!   small, and each piece holds one candidate where a hash of its place puts it. They do not depend on how the mesh is
+//!   numbered, and mirroring the mesh in x = 0 mirrors them. (The pieces' middles would not do: they form lattices whose
+//!   patches the graph of nearest samples does not join.)
 //! - Candidates on opposite sides of something thin do not crowd each other out.
 
 use super::close_pairs::for_each_close_pair;
+use super::place_hash::place_hash;
 use crate::mesh::Mesh;
 use glam::{DVec3, I64Vec3};
 use std::cmp::Ordering;
@@ -55,7 +58,7 @@ impl SurfaceSamples {
 /// A corner of a piece: position and normal, both linear over the triangle.
 type Corner = (DVec3, DVec3);
 
-/// Middles of pieces of at most `piece_area`, sorted by place. Fewer than 2 area / `piece_area` + F.
+/// One point in each piece of at most `piece_area`, sorted by place. Fewer than 2 area / `piece_area` + F.
 fn candidates(mesh: &Mesh, piece_area: f64) -> Vec<Corner> {
     let normals = mesh.vertex_normals();
     let mut candidates = Vec::new();
@@ -80,7 +83,9 @@ fn candidates(mesh: &Mesh, piece_area: f64) -> Vec<Corner> {
                 let middle = ((from.0 + to.0) * 0.5, (from.1 + to.1) * 0.5);
                 work.extend([[from, middle, other], [middle, to, other]]);
             } else if area > 0.0 {
-                candidates.push(((a.0 + b.0 + c.0) / 3.0, (a.1 + b.1 + c.1).normalize_or_zero()));
+                let [u, v, w] = scattered((a.0 + b.0 + c.0) / 3.0);
+                let normal = (a.1 * u + b.1 * v + c.1 * w).normalize_or_zero();
+                candidates.push((a.0 * u + b.0 * v + c.0 * w, normal));
             }
         }
     }
@@ -88,8 +93,18 @@ fn candidates(mesh: &Mesh, piece_area: f64) -> Vec<Corner> {
     candidates
 }
 
+/// By y, z, distance from x = 0, and side last: mirrored meshes are walked in the same order.
 fn order_of_place(a: DVec3, b: DVec3) -> Ordering {
-    a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)).then(a.z.total_cmp(&b.z))
+    let by_side = a.x.total_cmp(&b.x);
+    a.y.total_cmp(&b.y).then(a.z.total_cmp(&b.z)).then(a.x.abs().total_cmp(&b.x.abs())).then(by_side)
+}
+
+/// Barycentric weights that are even over a triangle and depend on `place` alone, whichever side of x = 0 it is on.
+fn scattered(place: DVec3) -> [f64; 3] {
+    let bits = place_hash(DVec3::new(place.x.abs(), place.y, place.z));
+    let share = |bits: u64| f64::from(bits as u32) / f64::from(u32::MAX);
+    let (first, second) = (share(bits >> 32).sqrt(), share(bits));
+    [1.0 - first, first * (1.0 - second), first * second]
 }
 
 /// Keeps the first candidate of each cell of `width` and side of the surface, if `count` remain. Bounds how many
@@ -198,5 +213,78 @@ impl Ord for Crowded {
 impl PartialOrd for Crowded {
     fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
         Some(self.cmp(other))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::bvh::Bvh;
+    use crate::mesh::test_shapes::{degenerate, joined, sphere, torus, tube};
+
+    /// Twice the largest radius at which `count` discs can lie apart on the surface.
+    fn widest_spacing(mesh: &Mesh, count: usize) -> f64 {
+        let area: f64 = (0..mesh.triangles.len()).map(|face| 0.5 * mesh.area_normal(face).length()).sum();
+        2.0 * (area / (2.0 * 3f64.sqrt() * count as f64)).sqrt()
+    }
+
+    #[test]
+    fn samples_lie_on_the_surface_far_apart_and_leave_no_hole() {
+        for mesh in [sphere(DVec3::ZERO, 0.5, 40), torus(0.4, 0.1, 30), tube(DVec3::ZERO, 0.1, 1.0, 16, 3)] {
+            let samples = SurfaceSamples::new(&mesh, 1_000);
+            assert_eq!(samples.positions.len(), 1_000);
+            let spacing = widest_spacing(&mesh, 1_000);
+            let surface = Bvh::new(&mesh);
+            let tree = crate::geometry::point_tree::PointTree::new(&samples.positions);
+            let mut nearest = Vec::new();
+            for (sample, &position) in (0u32..).zip(&samples.positions) {
+                assert!(surface.nearest_point(position).unwrap().distance < 1e-9);
+                tree.nearest_others(sample, position, 1, &mut nearest);
+                assert!(nearest[0].0.sqrt() > 0.5 * spacing, "{} of {spacing}", nearest[0].0.sqrt());
+            }
+            for face in 0..mesh.triangles.len() {
+                let middle = mesh.corners(face).into_iter().sum::<DVec3>() / 3.0;
+                assert!(tree.nearest(middle).unwrap().1.sqrt() < 1.2 * spacing);
+            }
+        }
+    }
+
+    #[test]
+    fn renumbering_vertices_and_faces_changes_no_sample() {
+        let mesh = torus(0.4, 0.15, 40);
+        let count = mesh.positions.len() as u32;
+        let renumbered = Mesh {
+            positions: (0..count).map(|vertex| mesh.positions[(vertex * 7 % count) as usize]).collect(),
+            triangles: mesh
+                .triangles
+                .iter()
+                .rev()
+                .map(|&[a, b, c]| {
+                    let new = |old: u32| (0..count).find(|vertex| vertex * 7 % count == old).unwrap();
+                    [new(b), new(c), new(a)]
+                })
+                .collect(),
+        };
+        assert_ne!(count % 7, 0);
+        let (first, second) = (SurfaceSamples::new(&mesh, 500), SurfaceSamples::new(&renumbered, 500));
+        assert_eq!(first.positions, second.positions);
+        assert!(first.normals.iter().zip(&second.normals).all(|(a, b)| a.distance(*b) < 1e-12));
+    }
+
+    #[test]
+    fn fine_detail_gets_no_more_samples_than_its_area() {
+        let (plain, fine) = (sphere(DVec3::ZERO, 0.5, 24), sphere(DVec3::X * 2.0, 0.05, 120));
+        let samples = SurfaceSamples::new(&joined(&[plain, fine]), 2_000);
+        let on_fine = samples.positions.iter().filter(|position| position.x > 1.5).count();
+        assert!((10..40).contains(&on_fine), "{on_fine} of 2000, 20 by area");
+    }
+
+    #[test]
+    fn degenerate_shapes_have_samples_or_none() {
+        for mesh in degenerate() {
+            let samples = SurfaceSamples::new(&mesh, 100);
+            assert_eq!(samples.positions.len(), samples.normals.len());
+            assert!(samples.positions.iter().all(|position| position.is_finite()));
+        }
     }
 }

@@ -152,3 +152,66 @@ fn fitted(pairs: &[(DVec2, DVec2)]) -> Option<SymmetryPlane> {
     let middle = (from + to) * 0.5;
     Some(SymmetryPlane { normal, offset: normal.x * middle.x + normal.z * middle.y, score: 0.0 })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mesh::Mesh;
+    use crate::mesh::test_shapes::{degenerate, joined, sphere, tube};
+    use glam::DMat3;
+
+    /// Body, head forward of it, two arms: symmetric in x = 0 only.
+    fn figure(arm: f64) -> Mesh {
+        joined(&[
+            tube(DVec3::ZERO, 0.15, 0.7, 30, 20),
+            sphere(DVec3::new(0.0, 0.8, 0.12), 0.15, 20),
+            sphere(DVec3::new(0.35, 0.6, 0.05), arm, 20),
+            sphere(DVec3::new(-0.35, 0.6, 0.05), 0.08, 20),
+        ])
+    }
+
+    fn detect(mesh: &Mesh) -> SymmetryPlane {
+        detect_symmetry_plane(&SurfaceSamples::new(mesh, 4_000), &Bvh::new(mesh))
+    }
+
+    #[test]
+    fn an_exactly_symmetric_figure_has_exactly_the_canonical_plane() {
+        let plane = detect(&figure(0.08));
+        assert_eq!((plane.normal, plane.offset), (DVec3::X, 0.0));
+        assert!(plane.score > 0.99, "{}", plane.score);
+    }
+
+    #[test]
+    fn turning_and_moving_the_figure_turns_and_moves_the_plane() {
+        for degrees in [17.0, 45.0, 90.0, 133.0] {
+            let turn = DMat3::from_rotation_y(f64::to_radians(degrees));
+            let shift = DVec3::new(0.1, 0.0, -0.2);
+            let mut mesh = figure(0.08);
+            mesh.positions.iter_mut().for_each(|position| *position = turn * *position + shift);
+            let plane = detect(&mesh);
+            let normal = turn * DVec3::X;
+            let agreement = plane.normal.dot(normal);
+            assert!(agreement.abs() > 0.9999, "{degrees}: {plane:?}");
+            assert!((plane.offset * agreement.signum() - normal.dot(shift)).abs() < 2e-3, "{degrees}: {plane:?}");
+            assert!(plane.score > 0.97, "{degrees}: {plane:?}");
+        }
+    }
+
+    #[test]
+    fn a_lopsided_figure_scores_lower() {
+        assert!(detect(&figure(0.16)).score < detect(&figure(0.08)).score - 0.02);
+        let plane = detect(&joined(&[sphere(DVec3::ZERO, 0.1, 20), sphere(DVec3::new(0.9, 0.3, 0.2), 0.3, 20)]));
+        assert!(plane.normal.is_normalized() && (0.0..=1.0).contains(&plane.score));
+    }
+
+    #[test]
+    fn reflection_twice_is_nothing_and_degenerate_shapes_have_a_plane() {
+        let plane = SymmetryPlane { normal: DVec3::new(0.6, 0.0, 0.8), offset: 0.3, score: 1.0 };
+        let point = DVec3::new(1.0, 2.0, 3.0);
+        assert!(plane.reflect(plane.reflect(point)).distance(point) < 1e-12);
+        assert!((plane.signed_distance(plane.reflect(point)) + plane.signed_distance(point)).abs() < 1e-12);
+        for mesh in degenerate() {
+            assert!(detect(&mesh).normal.is_normalized());
+        }
+    }
+}

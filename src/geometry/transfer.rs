@@ -91,9 +91,8 @@ fn nearest_kept_along_edges(welded: &Mesh, kept: &[Option<u32>]) -> Vec<Option<u
     nearest
 }
 
-/// The faces around a vertex of the working mesh and around its neighbours.
+/// The faces around each vertex of the working mesh.
 struct Surroundings {
-    ring: Neighbors,
     faces: Neighbors,
 }
 
@@ -103,11 +102,11 @@ impl Surroundings {
         for (face, corners) in (0u32..).zip(&mesh.triangles) {
             corners.iter().for_each(|&corner| rows[corner as usize].push(face));
         }
-        Self { ring: one_ring(mesh), faces: Neighbors::from_rows(&rows) }
+        Self { faces: Neighbors::from_rows(&rows) }
     }
 
-    /// The nearest point on the faces around `kept` and its neighbours, and then, as long as that comes nearer, around
-    /// the corners of the nearest face; on faces that face along `normal` before any other.
+    /// The nearest point on the faces around `kept`, and then, as long as that comes nearer, around the corners of the
+    /// nearest face; on faces that face along `normal` before any other.
     fn nearest(&self, mesh: &Mesh, kept: u32, position: DVec3, normal: DVec3) -> Option<Blend> {
         let mut best: Option<(Rank, Blend)> = None;
         let mut look_around = |vertices: &[u32]| {
@@ -123,7 +122,7 @@ impl Surroundings {
             let improved = best.map(|(rank, _)| rank) != before;
             best.filter(|_| improved).map(|((.., face), _)| mesh.triangles[face as usize])
         };
-        let mut corners = look_around(self.ring.row(kept as usize));
+        let mut corners = look_around(&[kept]);
         for _ in 0..WALK_MAX {
             let Some(here) = corners else { break };
             corners = look_around(&here);
@@ -150,36 +149,8 @@ fn blend(corners: [u32; 3], weights: [f64; 3]) -> Blend {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::mesh::test_shapes::{joined, tube};
     use crate::mesh::working_mesh::Change;
-
-    /// A tube along y, open at both ends, looking outward.
-    fn tube(centre: DVec3, radius: f64, around: u32, along: u32) -> Mesh {
-        let mut mesh = Mesh::default();
-        for row in 0..=along {
-            for column in 0..around {
-                let angle = std::f64::consts::TAU * f64::from(column) / f64::from(around);
-                let height = f64::from(row) / f64::from(along);
-                mesh.positions.push(centre + DVec3::new(radius * angle.cos(), height, -radius * angle.sin()));
-            }
-        }
-        for row in 0..along {
-            for column in 0..around {
-                let [a, b] = [row * around + column, row * around + (column + 1) % around];
-                mesh.triangles.extend([[a, b, a + around], [b, b + around, a + around]]);
-            }
-        }
-        mesh
-    }
-
-    fn joined(parts: &[Mesh]) -> Mesh {
-        let mut all = Mesh::default();
-        for part in parts {
-            let offset = all.positions.len() as u32;
-            all.positions.extend(&part.positions);
-            all.triangles.extend(part.triangles.iter().map(|face| face.map(|corner| corner + offset)));
-        }
-        all
-    }
 
     fn place(working: &WorkingMesh, blend: Blend) -> DVec3 {
         blend.iter().map(|&(vertex, weight)| working.mesh.positions[vertex as usize] * weight).sum()
@@ -195,7 +166,7 @@ mod tests {
     #[test]
     fn kept_and_split_meshes_give_every_vertex_itself() {
         for (around, along, change) in [(8, 10, Change::Split), (30, 40, Change::Kept)] {
-            let mesh = tube(DVec3::ZERO, 0.1, around, along);
+            let mesh = tube(DVec3::ZERO, 0.1, 1.0, around, along);
             let working = WorkingMesh::new(&mesh).unwrap();
             assert_eq!(working.change, change);
             for (vertex, blend) in transfer_map(&mesh, &working).into_iter().enumerate() {
@@ -207,7 +178,7 @@ mod tests {
 
     #[test]
     fn a_sleeve_never_takes_from_the_body_under_it() {
-        let (body, sleeve) = (tube(DVec3::ZERO, 0.1, 80, 150), tube(DVec3::ZERO, 0.102, 80, 150));
+        let (body, sleeve) = (tube(DVec3::ZERO, 0.1, 1.0, 80, 150), tube(DVec3::ZERO, 0.102, 1.0, 80, 150));
         let body_vertices = body.positions.len();
         let mesh = joined(&[body, sleeve]);
         let working = WorkingMesh::new(&mesh).unwrap();
@@ -227,7 +198,7 @@ mod tests {
 
     #[test]
     fn a_vertex_without_faces_takes_from_the_nearest_surface() {
-        let mut mesh = tube(DVec3::ZERO, 0.1, 30, 40);
+        let mut mesh = tube(DVec3::ZERO, 0.1, 1.0, 30, 40);
         mesh.positions.push(DVec3::new(0.3, 0.5, 0.0));
         let working = WorkingMesh::new(&mesh).unwrap();
         let blend = transfer_map(&mesh, &working).pop().unwrap();

@@ -67,7 +67,7 @@ pub struct NamedFile {
 pub struct Outcome {
     /// Distinct names.
     pub artifacts: Vec<Artifact>,
-    /// `skeleton`, `skin` and whatever else is worth saying; becomes the job's `result`.
+    /// `skeleton`, `skin` and whatever else is worth saying; becomes the job's `result`, beside its `artifacts`.
     pub report: serde_json::Map<String, serde_json::Value>,
     pub findings: Vec<Finding>,
     /// Name of the method that made the rig.

@@ -69,6 +69,11 @@ impl Stage {
         }
     }
 
+    /// The stage that is called `name`.
+    pub fn named(name: &str) -> Option<Self> {
+        Stage::ALL.into_iter().find(|stage| stage.name() == name)
+    }
+
     /// The share of a job's time that this stage usually takes, in percent. The shares sum to 100.
     fn share(self) -> u8 {
         match self {

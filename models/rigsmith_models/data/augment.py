@@ -103,5 +103,7 @@ def thin(character: Character, vertex_count: int, one_ring_max: int, ball_max: i
         order = (rng.random(neighbours.shape, dtype=np.float32) + absent).argsort(1)[:, :width]
         own = np.broadcast_to(np.arange(vertex_count)[:, None], order.shape)
         rows = np.where(np.take_along_axis(absent, order, 1), own, np.take_along_axis(neighbours, order, 1))
-        tables.append(np.concatenate([np.arange(vertex_count)[:, None], rows], axis=1))
+        # A cache with fewer columns than asked for: the own index fills the rest, as everywhere.
+        spare = np.repeat(own[:, :1], width - rows.shape[1], axis=1)
+        tables.append(np.concatenate([own[:, :1], rows, spare], axis=1))
     return kept, tables[0], tables[1]

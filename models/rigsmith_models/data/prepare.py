@@ -92,7 +92,7 @@ def character_of(rig: Rig, features: dict[str, np.ndarray], rng: np.random.Gener
         skin_weights=rig.weights.astype(np.float16),
         attention_mask=targets.attention_mask(vertices, rays, joints), tolerance=targets.tolerance(vertices, rays, joints),
         inside_share=features["pair_features"][:, 1].astype(np.float32), bone_ends=features["bones"].astype(np.int16),
-        bone_distance=features["bone_distance"].astype(np.float16), meta=rig.meta,
+        bone_distance=features["bone_distance"].astype(np.float16), meta={**rig.meta, "features": "rigsmith features"},
     )
 
 

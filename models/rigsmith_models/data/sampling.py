@@ -21,9 +21,19 @@ class Pool:
     """All training characters, drawn by their ``draw_weight``, real and synthetic ones at a set share."""
 
     def __init__(self, files: list[Path]):
-        self.characters = [c for path in files for c in read_cache(path)]
+        caches = {path.stem: read_cache(path) for path in files}
+        self.sizes = {name: len(characters) for name, characters in caches.items()}
+        self.characters = [c for characters in caches.values() for c in characters]
         self.weight = np.array([c.meta.get("draw_weight", 1.0) for c in self.characters], float)
         self.real = np.array([c.meta.get("style") != "synthetic" for c in self.characters])
+
+    def counts(self) -> dict[str, int]:
+        """Characters per cache file."""
+        return self.sizes
+
+    def features(self) -> list[str]:
+        """Where neighbour tables, inside shares and bone distances came from."""
+        return sorted({c.meta.get("features", "stand-in") for c in self.characters})
 
     def probabilities(self, real_share: float) -> np.ndarray:
         weight = self.weight.copy()

@@ -20,39 +20,48 @@ class Clustering:
     middle: float = 0.02  # |x| below which a joint is snapped to the mirror plane
 
 
-def squared_distances(points: np.ndarray) -> np.ndarray:
-    """(N, 3) -> (N, N)."""
-    norm = (points**2).sum(1)
-    return np.maximum(norm[:, None] + norm[None] - 2 * points @ points.T, 0)
+MIRROR = np.array([-1, 1, 1], np.float32)
+
+
+def squared_distances(points: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """(N, 3), (M, 3) -> (N, M)."""
+    return np.maximum((points**2).sum(1)[:, None] + (others**2).sum(1) - 2 * points @ others.T, 0)
 
 
 def joints_of(points, displacement_length, attention, settings: Clustering) -> np.ndarray:
-    """points: (V, 3) = positions + displacement, displacement_length: (V,), attention: (V,) in (0, 1) -> (J, 3)."""
+    """points: (V, 3) = positions + displacement, displacement_length: (V,), attention: (V,) in (0, 1) -> (J, 3).
+
+    Every point has a mirror image with the same attention. The images stay images through the mean shift, so only the
+    points themselves are moved.
+    """
     spread = attention.max() - attention.min()
     attention = (attention - attention.min()) / spread if spread > 1e-6 else np.ones_like(attention)
     attention = attention**settings.attention_power
     kept = attention > settings.attention_min
     if not kept.any():
         return np.zeros((0, 3), np.float32)
-    length = np.concatenate([displacement_length[kept]] * 2)
-    weight = np.concatenate([attention[kept]] * 2).astype(np.float32)
-    points = points[kept]
-    points = np.concatenate([points, points * np.array([-1, 1, 1], np.float32)]).astype(np.float32)
+    points = points[kept].astype(np.float32)
+    length = np.tile(displacement_length[kept], 2)
+    weight = np.tile(attention[kept], 2).astype(np.float32)
     squared_bandwidth = np.float32(settings.bandwidth**2)
     for _ in range(settings.steps):
-        kernel = np.maximum(squared_bandwidth - squared_distances(points), 0) * weight
-        mean = kernel @ points / (kernel.sum(1, keepdims=True) + 1e-10)
-        points = points + settings.step_length * (mean - points)
-    squared = squared_distances(points)
-    density = (np.maximum(1 - squared / squared_bandwidth, 0) * weight).sum(1) / weight.sum()
+        both = np.concatenate([points, points * MIRROR])
+        kernel = np.maximum(squared_bandwidth - squared_distances(points, both), 0) * weight
+        mean = kernel @ both / (kernel.sum(1, keepdims=True) + 1e-10)
+        points = points + np.float32(settings.step_length) * (mean - points)
+    both = np.concatenate([points, points * MIRROR])
+    density = (np.maximum(1 - squared_distances(points, both) / squared_bandwidth, 0) * weight).sum(1) / weight.sum()
+    density = np.tile(density, 2)
     alive, modes = density > settings.density_min, []
     for i in np.argsort(-density, kind="stable"):
         if not alive[i]:
             continue
         modes.append(i)
-        near = squared[i] < squared_bandwidth
+        squared = squared_distances(both[i : i + 1], both)[0]
+        near = squared < squared_bandwidth
         moved = (weight[near] * length[near]).sum() / weight[near].sum()
-        alive &= squared[i] > max(settings.bandwidth, settings.suppression * moved) ** 2
-    joints = points[modes]
+        alive &= squared > max(settings.bandwidth, settings.suppression * moved) ** 2
+        alive[i] = False
+    joints = both[modes]
     joints[np.abs(joints[:, 0]) < settings.middle, 0] = 0
     return joints

@@ -114,7 +114,11 @@ def edited_skeleton(joints, parents, inside_share, rng):
 
 
 class BoneObjective:
-    """Binary cross-entropy over all pairs of joints plus the mean of its hardest 30% (online hard example mining)."""
+    """Binary cross-entropy over all pairs of joints, the mean of its hardest 30% (online hard example mining), and a ranking.
+
+    The ranking is ours: the tree compares bones that compete for a joint, so for every joint a softmax over all its pairs
+    is held against its true bones.
+    """
 
     def batch(self, characters, progress, rng, device):
         batch = shape_batch(characters, rng, device, pose=False)
@@ -142,7 +146,22 @@ class BoneObjective:
         logit = network(*shape_of(batch)[:3], batch["joints"].reshape(-1, 3), batch["pairs"], batch["pair_features"],
                         batch["graph_count"]).float()
         each = F.binary_cross_entropy_with_logits(logit, batch["target"], reduction="none")[batch["valid"]]
-        return each.mean() + each.topk(int(HARDEST_SHARE * len(each)) + 1).values.mean()
+        hardest = each.topk(int(HARDEST_SHARE * len(each)) + 1).values.mean()
+        return each.mean() + hardest + self.ranking(logit, batch)
+
+    def ranking(self, logit, batch) -> torch.Tensor:
+        """Mean over joints of the cross-entropy between its true bones, equal shares, and the softmax over its pairs."""
+        joint_count = batch["joints"].shape[0] * batch["joints"].shape[1]
+        pairs, valid = batch["pairs"][batch["valid"]], batch["valid"]
+        both = torch.cat([pairs, pairs.flip(1)])
+        shape = (joint_count, batch["joints"].shape[1])
+        column = both[:, 1] % shape[1]
+        scores = torch.full(shape, -1e4, device=logit.device).index_put((both[:, 0], column), logit[valid].repeat(2))
+        truth = torch.zeros(shape, device=logit.device).index_put((both[:, 0], column), batch["target"][valid].repeat(2))
+        degree = truth.sum(1)
+        taught = degree > 0
+        share = truth[taught] / degree[taught].unsqueeze(1)
+        return -(share * F.log_softmax(scores[taught], dim=1)).sum(1).mean()
 
 
 class RootObjective:

@@ -57,17 +57,18 @@ impl Frame {
     }
 }
 
-/// What an accessor is to a primitive, with what its change depends on.
+/// What an accessor is to a primitive, with what its change depends on. In the order of baking: deltas depend on bases
+/// as they were.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Role {
-    Position,
-    Normal,
-    Tangent,
-    PositionDelta,
     /// Accessor of the base normals, if any.
     NormalDelta(Option<usize>),
     /// Accessor of the base tangents, if any.
     TangentDelta(Option<usize>),
+    PositionDelta,
+    Position,
+    Normal,
+    Tangent,
     /// Quantised values that only become floats.
     Plain,
 }
@@ -101,13 +102,13 @@ impl<'a> Edit<'a> {
 
     /// Bakes one mesh. `frames[frame_of[p]]` is how primitive `p` comes to world space.
     pub(super) fn bake(&mut self, mesh: usize, frames: &[Frame], frame_of: &[usize]) -> Result<(), DecodeError> {
-        let mut jobs: BTreeMap<(usize, Role, usize), Vec<Slot>> = BTreeMap::new();
+        let mut jobs: BTreeMap<(Role, usize, usize), Vec<Slot>> = BTreeMap::new();
         for (primitive, &frame) in frame_of.iter().enumerate() {
             for (role, accessor, slot) in self.attributes(mesh, primitive)? {
-                jobs.entry((accessor, role, frame)).or_default().push(slot);
+                jobs.entry((role, accessor, frame)).or_default().push(slot);
             }
         }
-        for ((accessor, role, frame), slots) in jobs {
+        for ((role, accessor, frame), slots) in jobs {
             self.bake_accessor(mesh, accessor, &role, &frames[frame], &slots)?;
         }
         for (primitive, &frame) in frame_of.iter().enumerate() {
@@ -198,12 +199,12 @@ impl<'a> Edit<'a> {
         if !is_kept {
             self.transform(&mut floats, role, frame)?;
         }
-        if *role == Role::Position {
+        if matches!(role, Role::Position | Role::PositionDelta) {
             check_positions(&floats, &place)?;
         }
         let bytes: Vec<u8> = floats.iter().flat_map(|value| value.to_le_bytes()).collect();
         let needs_bounds = matches!(role, Role::Position | Role::PositionDelta);
-        if self.layouts.may_overwrite(accessor, &read, slots.len()) {
+        if read.component == Component::F32 && self.layouts.may_overwrite(accessor, &read, slots.len()) {
             let layout = read.layout.as_ref().expect("an accessor that may be overwritten has bytes");
             for (element, bytes) in bytes.chunks_exact(layout.element_bytes).enumerate() {
                 self.binary[layout.element(element)].copy_from_slice(bytes);

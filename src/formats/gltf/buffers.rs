@@ -18,15 +18,15 @@ const BASE64: GeneralPurpose = GeneralPurpose::new(
 );
 
 /// One white pixel, for an image that was not sent.
-const WHITE_PIXEL_PNG: &[u8] =
-    b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR\0\0\0\x01\0\0\0\x01\x08\0\0\0\0:~\x9bU\0\0\0\nIDATx\x9cc\
-    \xf8\x0f\0\x01\x01\x01\0\x1b\xb6\xeeV\0\0\0\0IEND\xaeB`\x82";
+const WHITE_PIXEL_PNG: &[u8] = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR\0\0\0\x01\0\0\0\x01\x08\0\0\0\0:~\x9bU\
+    \0\0\0\nIDATx\xdac\xf8\x0f\0\x01\x01\x01\0\x1c\xb0\x8c\x99\0\0\0\0IEND\xaeB`\x82";
 
 /// Alignment of everything in the merged buffer; the largest component has four bytes.
 pub(super) const ALIGNMENT: usize = 4;
 
 /// What this upload's buffers are made from.
 pub(super) struct Sources<'a> {
+    pub(super) is_glb: bool,
     pub(super) chunk: Option<&'a [u8]>,
     pub(super) siblings: &'a dyn Siblings,
     /// Folder of the main file inside the upload, with a trailing slash, or empty.
@@ -182,7 +182,7 @@ pub(super) fn items_mut_if_any<'a>(object: &'a mut Value, key: &str) -> &'a mut 
     object.get_mut(key).and_then(Value::as_array_mut).map_or(&mut [], Vec::as_mut_slice)
 }
 
-/// Brings image files into the buffer, so that the output needs no other file. Data URIs stay as they are.
+/// Brings image files into the buffer, so that the output needs no other file.
 pub(super) fn embed_images(
     json: &mut Value,
     binary: &mut Vec<u8>,
@@ -193,7 +193,8 @@ pub(super) fn embed_images(
     for number_of in 0..items(json, "images").len() {
         let image = &json["images"][number_of];
         let uri = text(image, "uri").to_owned();
-        if uri.is_empty() || uri.starts_with("data:") {
+        // In a GLB they are as the sender wants them; coming from JSON, a data URI would be a fault in the GLB.
+        if uri.is_empty() || (uri.starts_with("data:") && sources.is_glb) {
             continue;
         }
         let bytes = match sources.read(&uri, &format!("image {number_of}"))? {
@@ -208,7 +209,7 @@ pub(super) fn embed_images(
         let view = append_view(json, binary, &bytes);
         let image = &mut json["images"][number_of];
         remove(image, "uri");
-        if text(image, "name").is_empty() {
+        if text(image, "name").is_empty() && !uri.starts_with("data:") {
             let base = percent_decoded(&uri);
             let base = base.rsplit(['/', '\\']).next().unwrap_or_default();
             image["name"] = json!(base.rsplit_once('.').map_or(base, |(stem, _)| stem));

@@ -35,7 +35,7 @@ pub fn decode(
     check_list_lengths(&json, limits)?;
     let folder = file_name.rfind('/').map_or("", |slash| &file_name[..=slash]);
     let used = Cell::new(bytes.len() as u64);
-    let sources = Sources { chunk: container.binary, siblings, folder, limits, used };
+    let sources = Sources { is_glb: container::is_glb(bytes), chunk: container.binary, siblings, folder, limits, used };
     let mut binary = load(&mut json, &sources)?;
     let mut findings = embed_images(&mut json, &mut binary, &sources, options)?;
     document::drop_draco(&mut json)?;
@@ -98,14 +98,17 @@ fn prepare(
     tell_of_what_is_not_rigged(json, &graph, &shown, &mut findings);
 
     let edit = Edit::new(json, binary, limits);
-    let frames: Vec<(Vec<Frame>, Vec<usize>)> =
-        shown.iter().map(|&(node, mesh)| existing_rig::frames(&edit, &graph, node, mesh)).collect::<Result<_, _>>()?;
+    let mut evaluated = existing_rig::Evaluated::default();
+    let frames: Vec<(Vec<Frame>, Vec<usize>)> = shown
+        .iter()
+        .map(|&(node, mesh)| existing_rig::frames(&edit, &graph, &mut evaluated, node, mesh))
+        .collect::<Result<_, _>>()?;
     match &old_rig {
         Some(_) => findings.extend(existing_rig::strip(edit.json)),
         // Attributes without a skin mean nothing, and would stand beside ours.
         None => existing_rig::strip_influences(edit.json),
     }
-    let own = flatten::own_meshes(edit.json, &shown);
+    let own = flatten::own_meshes(edit.json, &shown, limits)?;
     // Anew: strip and copies changed who uses what.
     let mut edit = Edit::new(json, binary, limits);
     for (&mesh, (frames, frame_of)) in own.iter().zip(&frames) {
@@ -240,7 +243,7 @@ fn tell_of_changes(
 
 /// Takes the old skeleton's nodes away, or leaves them where an extension may refer to nodes by number.
 fn remove_old_joints(json: &mut Value, graph: &NodeGraph, rig: &OldRig, placed: &mut [Placed]) -> Vec<Finding> {
-    let removable = existing_rig::removable_nodes(json, &graph.parents, &rig.joints);
+    let removable = existing_rig::removable_nodes(json, graph, &rig.joints);
     let gone = |node: usize| removable.contains(&node) || rig.joints.contains(&node);
     let dropped = animations::rewrite(json, |node, path| {
         if path != "weights" && gone(node) { animations::Channel::Drop } else { animations::Channel::Keep }

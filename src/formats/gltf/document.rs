@@ -12,6 +12,7 @@ const REQUIRED_ALLOWED: &[&str] = &[
     "KHR_meshopt_compression",
     "EXT_meshopt_compression",
     "KHR_materials_",
+    "VRMC_materials_",
     "KHR_texture_",
     "KHR_lights_punctual",
     "KHR_xmp",

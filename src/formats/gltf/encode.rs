@@ -144,12 +144,12 @@ fn add_skin(json: &mut Value, binary: &mut Vec<u8>, document: &Document, skeleto
     let mut rest: Vec<DVec3> = Vec::with_capacity(skeleton.joints.len());
     let mut matrices = Vec::with_capacity(skeleton.joints.len() * 64);
     for (joint, name) in skeleton.joints.iter().zip(&names) {
-        // From where the parent ended up, so that rounding does not add up along a chain.
+        // Places that single precision holds, and differences in double: inverse bind matrices are then exact inverses.
+        let place = joint.position.as_vec3().as_dvec3();
         let parent = joint.parent.map_or(DVec3::ZERO, |parent| rest[parent]);
-        let translation = (joint.position - parent).as_vec3();
-        rest.push(parent + translation.as_dvec3());
-        push(json, "nodes", json!({ "name": name, "translation": translation.to_array().map(f64::from) }));
-        matrices.extend(inverse_bind_matrix(rest[rest.len() - 1]).iter().flat_map(|value| value.to_le_bytes()));
+        rest.push(place);
+        push(json, "nodes", json!({ "name": name, "translation": (place - parent).to_array() }));
+        matrices.extend(inverse_bind_matrix(place).iter().flat_map(|value| value.to_le_bytes()));
     }
     for (index, joint) in skeleton.joints.iter().enumerate() {
         if let Some(parent) = joint.parent {

@@ -10,6 +10,7 @@ use super::node_graph::NodeGraph;
 use crate::formats::{DecodeError, Finding, Severity};
 use glam::{DMat3, DMat4, DVec3};
 use serde_json::Value;
+use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Extensions that describe the skeleton of the file and mean nothing without it.
@@ -57,10 +58,15 @@ fn joints_of(json: &Value, skin: usize) -> Result<Vec<usize>, DecodeError> {
     listed.iter().map(|joint| reference(joint, "node", nodes, &place)).collect()
 }
 
+/// Joint matrices of the skins that were looked at.
+#[derive(Default)]
+pub(super) struct Evaluated(BTreeMap<usize, Vec<DMat4>>);
+
 /// How each primitive of a skinned node comes to world space, and which of the frames that is.
 pub(super) fn frames(
     edit: &Edit,
     graph: &NodeGraph,
+    evaluated: &mut Evaluated,
     node: usize,
     mesh: usize,
 ) -> Result<(Vec<Frame>, Vec<usize>), DecodeError> {
@@ -71,7 +77,10 @@ pub(super) fn frames(
     let Some(skin) = member_reference(json, "skin", "skin", skins, &format!("node {node}"))? else {
         return Ok((vec![Frame::One(world)], vec![0; primitives.len()]));
     };
-    let matrices = joint_matrices(edit, graph, skin)?;
+    let matrices = match evaluated.0.entry(skin) {
+        Entry::Occupied(known) => known.into_mut(),
+        Entry::Vacant(new) => new.insert(joint_matrices(edit, graph, skin)?),
+    };
     let mut frames = Vec::new();
     let mut frame_of = Vec::new();
     let mut known: BTreeMap<Vec<usize>, usize> = BTreeMap::new();
@@ -84,7 +93,7 @@ pub(super) fn frames(
                 frames.push(if key.is_empty() {
                     Frame::One(world)
                 } else {
-                    blended(edit, &matrices, primitive, &key, &place)?
+                    blended(edit, matrices, primitive, &key, &place)?
                 });
                 known.insert(key, frames.len() - 1);
                 frames.len() - 1
@@ -215,48 +224,28 @@ pub(super) fn strip_influences(json: &mut Value) {
 }
 
 /// Nodes that were only part of the old skeleton: joints, what hangs on joints and shows nothing, and the empty
-/// holders above them.
-pub(super) fn removable_nodes(
-    json: &Value,
-    graph_parents: &[Option<usize>],
-    joints: &BTreeSet<usize>,
-) -> BTreeSet<usize> {
+/// holders above them. What keeps a child stays.
+pub(super) fn removable_nodes(json: &Value, graph: &NodeGraph, joints: &BTreeSet<usize>) -> BTreeSet<usize> {
     let nodes = items(json, "nodes");
-    let count = graph_parents.len().min(nodes.len());
-    let mut is_in_skeleton: Vec<bool> = (0..count).map(|node| joints.contains(&node)).collect();
-    let mut holds_skeleton = vec![false; count];
-    for node in 0..count {
-        let mut above = graph_parents[node];
-        // A forest: at most `count` steps up.
-        while let Some(parent) = above {
-            holds_skeleton[parent] |= joints.contains(&node);
-            is_in_skeleton[node] |= joints.contains(&parent);
-            above = graph_parents[parent];
-        }
+    let count = graph.parents.len();
+    let mut is_in_skeleton = vec![false; count];
+    for &node in &graph.order {
+        let is_below = graph.parents[node].is_some_and(|parent| is_in_skeleton[parent]);
+        is_in_skeleton[node] = is_below || joints.contains(&node);
     }
-    let shows_nothing = |node: usize| {
+    let mut holds_skeleton = vec![false; count];
+    let mut removable = BTreeSet::new();
+    for &node in graph.order.iter().rev() {
         let json = &nodes[node];
-        ["mesh", "camera", "extensions"].iter().all(|key| json.get(*key).is_none())
-    };
-    let is_candidate = |node: usize| {
-        shows_nothing(node) && (is_in_skeleton[node] || (holds_skeleton[node] && nodes[node].get("extras").is_none()))
-    };
-    let mut removable: BTreeSet<usize> = (0..count).filter(|&node| is_candidate(node)).collect();
-    // What keeps a child stays; each turn takes at least one node out, so there are at most `count` turns.
-    for _ in 0..count {
-        let kept: Vec<usize> = removable
-            .iter()
-            .copied()
-            .filter(|&node| {
-                items(&nodes[node], "children").iter().filter_map(index).any(|child| !removable.contains(&child))
-            })
-            .collect();
-        if kept.is_empty() {
-            break;
+        if let Some(parent) = graph.parents[node] {
+            holds_skeleton[parent] |= holds_skeleton[node] || joints.contains(&node);
         }
-        kept.iter().for_each(|node| {
-            removable.remove(node);
-        });
+        let shows_nothing = ["mesh", "camera", "extensions"].iter().all(|key| json.get(*key).is_none());
+        let is_of_skeleton = is_in_skeleton[node] || (holds_skeleton[node] && json.get("extras").is_none());
+        let mut children = items(json, "children").iter().filter_map(index);
+        if shows_nothing && is_of_skeleton && children.all(|child| removable.contains(&child)) {
+            removable.insert(node);
+        }
     }
     removable
 }

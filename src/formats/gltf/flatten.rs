@@ -6,14 +6,21 @@ use super::animations::{Channel, rewrite};
 use super::buffers::items_mut_if_any;
 use super::json::{index, items, items_mut, push, remove, text};
 use super::node_graph::NodeGraph;
-use crate::formats::{Finding, Severity};
+use crate::formats::{DecodeError, Finding, Limits, Severity};
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
+
+/// Copies of mesh descriptions may take this part of an upload's bytes as text; parsed they take some forty times that.
+const COPIED_PART: u64 = 8;
 
 const TRANSFORM: &[&str] = &["matrix", "translation", "rotation", "scale"];
 
 /// Gives every node of `shown` (node, mesh) a mesh that no other node uses; returns those meshes.
-pub(super) fn own_meshes(json: &mut Value, shown: &[(usize, usize)]) -> Vec<usize> {
+pub(super) fn own_meshes(
+    json: &mut Value,
+    shown: &[(usize, usize)],
+    limits: &Limits,
+) -> Result<Vec<usize>, DecodeError> {
     let shown_nodes: BTreeSet<usize> = shown.iter().map(|(node, _)| *node).collect();
     // Meshes that may be changed in place: the first shown user gets it, unless somebody else needs it as it is.
     let mut taken: BTreeSet<usize> = BTreeSet::new();
@@ -23,17 +30,24 @@ pub(super) fn own_meshes(json: &mut Value, shown: &[(usize, usize)]) -> Vec<usiz
         }
     }
     let mut own = Vec::with_capacity(shown.len());
+    let mut lengths: BTreeMap<usize, u64> = BTreeMap::new();
+    let mut copied = 0_u64;
     for &(node, mesh) in shown {
         if taken.insert(mesh) {
             own.push(mesh);
             continue;
+        }
+        copied += *lengths.entry(mesh).or_insert_with(|| json["meshes"][mesh].to_string().len() as u64);
+        if copied > limits.bytes_max / COPIED_PART {
+            let what = "the descriptions of shared meshes, copied for each node,".into();
+            return Err(DecodeError::TooLarge { what, found: copied, limit: limits.bytes_max / COPIED_PART });
         }
         let copy = json["meshes"][mesh].clone();
         let copy = push(json, "meshes", copy);
         json["nodes"][node]["mesh"] = json!(copy);
         own.push(copy);
     }
-    own
+    Ok(own)
 }
 
 /// Where mesh nodes went.

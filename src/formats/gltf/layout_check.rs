@@ -1,6 +1,6 @@
 //! Which accessors may be overwritten where they lie: those whose bytes nothing else reads.
 
-use super::accessors::{Accessor, Component, Layout, Reader, view_range};
+use super::accessors::{Accessor, Layout, Reader, view_range};
 use super::json::{index, items};
 use super::references::{self, Kind};
 use crate::formats::Limits;
@@ -43,7 +43,6 @@ impl Layouts {
         let (Some(layout), Some(layouts)) = (&accessor.layout, &self.layouts) else { return false };
         let range = layout.range();
         !accessor.is_sparse()
-            && matches!(accessor.component, Component::F32 | Component::U32 | Component::U16 | Component::U8)
             && self.users.get(&number) == Some(&users)
             && !self.images.iter().any(|image| image.start < range.end && range.start < image.end)
             && layouts

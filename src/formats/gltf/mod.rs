@@ -28,6 +28,7 @@ pub use encode::{EncodeError, EncodeOptions, encode_glb, encode_gltf, joint_name
 pub use skin_weights::WeightFormat;
 
 use serde_json::Value;
+use std::fmt;
 
 /// For messages.
 const FORMAT: &str = "glTF";
@@ -39,7 +40,7 @@ const GENERATOR: &str = concat!("rigsmith ", env!("CARGO_PKG_VERSION"));
 ///
 /// All buffers are joined into one; mesh nodes that will be skinned stand at the root of their scenes without a transform,
 /// each with a mesh of its own whose positions are in world space; no skin is left of those that came with the file.
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub struct Document {
     json: Value,
     binary: Vec<u8>,
@@ -58,4 +59,19 @@ struct SkinnedPrimitive {
     primitive: usize,
     /// Row of the asset's mesh, for each vertex in accessor order.
     rows: Vec<u32>,
+}
+
+impl fmt::Debug for Document {
+    /// What it holds, in counts: a document may be a hundred megabytes.
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let count = |list: &str| json::items(&self.json, list).len();
+        formatter
+            .debug_struct("Document")
+            .field("nodes", &count("nodes"))
+            .field("meshes", &count("meshes"))
+            .field("accessors", &count("accessors"))
+            .field("binary_bytes", &self.binary.len())
+            .field("skinned_primitives", &self.skinned.len())
+            .finish_non_exhaustive()
+    }
 }

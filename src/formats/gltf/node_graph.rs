@@ -10,6 +10,8 @@ use serde_json::Value;
 #[derive(Debug)]
 pub(super) struct NodeGraph {
     pub(super) parents: Vec<Option<usize>>,
+    /// Node indices, every parent before its children.
+    pub(super) order: Vec<usize>,
     /// World transforms of the rest pose.
     pub(super) world: Vec<DMat4>,
     /// Nodes of each scene, itself included: `scenes[s][n]`. A document without scenes has one made of all roots.
@@ -37,7 +39,7 @@ impl NodeGraph {
         }
         let scenes = scenes(json, &parents, &order)?;
         let scene = member_reference(json, "scene", "scene", scenes.len(), "the document")?.unwrap_or(0);
-        Ok(Self { parents, world, scenes, scene })
+        Ok(Self { parents, order, world, scenes, scene })
     }
 
     pub(super) fn is_shown(&self, node: usize) -> bool {

@@ -29,6 +29,7 @@ impl Kind {
 /// Extensions, by the start of their names, that refer to nothing but textures, or are handled here.
 const UNDERSTOOD: &[&str] = &[
     "KHR_materials_",
+    "VRMC_materials_",
     "KHR_texture_",
     "EXT_texture_",
     "EXT_materials_",
@@ -196,7 +197,7 @@ impl UsedBefore {
             );
             remove_all(json, Kind::BufferView, &orphans);
         }
-        compact(json, binary, &freed);
+        compact(json, binary, freed);
     }
 }
 
@@ -214,35 +215,66 @@ fn orphans_of_views(json: &mut Value, before: &UsedBefore) -> BTreeSet<usize> {
 }
 
 /// Cuts `freed` ranges out of the buffer where no view needs them, in steps of the alignment.
-fn compact(json: &mut Value, binary: &mut Vec<u8>, freed: &[Range<usize>]) {
-    if freed.is_empty() {
+fn compact(json: &mut Value, binary: &mut Vec<u8>, freed: Vec<Range<usize>>) {
+    let views = items(json, "bufferViews").iter().enumerate();
+    let live: Result<Vec<Range<usize>>, _> =
+        views.map(|(number, view)| super::accessors::view_range(view, number, binary.len())).collect();
+    let Ok(live) = live else { return };
+    // What fills a freed range up to the alignment goes with it.
+    let padded = |range: Range<usize>| range.start..range.end.next_multiple_of(ALIGNMENT).min(binary.len());
+    let cuts = without(merged(freed.into_iter().map(padded).collect()), &merged(live));
+    if cuts.is_empty() {
         return;
     }
-    let mut is_free = vec![false; binary.len().div_ceil(ALIGNMENT)];
-    for range in freed {
-        let whole = range.start.div_ceil(ALIGNMENT)..(range.end.div_ceil(ALIGNMENT)).min(is_free.len());
-        is_free.get_mut(whole).unwrap_or_default().fill(true);
-    }
-    for (number_of, view) in items(json, "bufferViews").iter().enumerate() {
-        let Ok(range) = super::accessors::view_range(view, number_of, binary.len()) else { return };
-        let touched = range.start / ALIGNMENT..range.end.div_ceil(ALIGNMENT);
-        is_free.get_mut(touched).unwrap_or_default().fill(false);
-    }
-    let mut removed_before = Vec::with_capacity(is_free.len() + 1);
+    let mut kept = Vec::with_capacity(binary.len());
+    let mut from = 0;
+    // Ends of cuts, with what is cut away up to there.
+    let mut removed_at = Vec::with_capacity(cuts.len());
     let mut removed = 0;
-    for &free in &is_free {
-        removed_before.push(removed);
-        removed += usize::from(free) * ALIGNMENT;
+    for cut in &cuts {
+        kept.extend_from_slice(&binary[from..cut.start]);
+        from = cut.end;
+        removed += cut.len();
+        removed_at.push((cut.end, removed));
     }
-    removed_before.push(removed);
+    kept.extend_from_slice(&binary[from..]);
     for view in items_mut_if_any(json, "bufferViews") {
         let offset = view.get("byteOffset").and_then(index).unwrap_or(0);
-        let shift = removed_before.get(offset / ALIGNMENT).copied().unwrap_or(0);
-        if shift > 0 {
-            view["byteOffset"] = json!(offset - shift);
+        let cuts_before = removed_at.partition_point(|(end, _)| *end <= offset);
+        if cuts_before > 0 {
+            view["byteOffset"] = json!(offset - removed_at[cuts_before - 1].1);
         }
     }
-    let mut position = 0..;
-    binary.retain(|_| position.next().is_none_or(|byte: usize| !is_free[byte / ALIGNMENT]));
+    *binary = kept;
     set_buffer_length(json, binary.len());
+}
+
+/// Sorted, apart from each other, none empty.
+fn merged(mut ranges: Vec<Range<usize>>) -> Vec<Range<usize>> {
+    ranges.retain(|range| !range.is_empty());
+    ranges.sort_by_key(|range| (range.start, range.end));
+    let mut merged: Vec<Range<usize>> = Vec::with_capacity(ranges.len());
+    for range in ranges {
+        match merged.last_mut() {
+            Some(last) if range.start <= last.end => last.end = last.end.max(range.end),
+            _ => merged.push(range),
+        }
+    }
+    merged
+}
+
+/// `ranges` without `kept`, both merged; shrunk to the alignment.
+fn without(ranges: Vec<Range<usize>>, kept: &[Range<usize>]) -> Vec<Range<usize>> {
+    let mut rest = Vec::with_capacity(ranges.len());
+    for range in ranges {
+        let mut from = range.start;
+        let first = kept.partition_point(|kept| kept.end <= range.start);
+        for kept in kept[first..].iter().take_while(|kept| kept.start < range.end) {
+            rest.push(from..kept.start.max(from));
+            from = kept.end;
+        }
+        rest.push(from..range.end.max(from));
+    }
+    let aligned = |range: Range<usize>| range.start.next_multiple_of(ALIGNMENT)..range.end / ALIGNMENT * ALIGNMENT;
+    rest.into_iter().map(aligned).filter(|range| !range.is_empty()).collect()
 }

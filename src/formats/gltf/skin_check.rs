@@ -177,7 +177,7 @@ fn check_row(row: &[(u32, f32)], joint_count: usize) -> Result<(), &'static str>
         Err("ACCESSOR_JOINTS_INDEX_OOB")
     } else if row.iter().any(|(joint, weight)| *weight == 0.0 && *joint != 0) {
         Err("ACCESSOR_JOINTS_USED_ZERO_WEIGHT")
-    } else if row.iter().any(|(_, weight)| !(*weight >= 0.0)) {
+    } else if row.iter().any(|(_, weight)| weight.is_nan() || *weight < 0.0) {
         Err("ACCESSOR_WEIGHTS_NEGATIVE")
     } else if used == 0 || (sum - 1.0).abs() > SUM_TOLERANCE * used as f32 {
         Err("ACCESSOR_WEIGHTS_NON_NORMALIZED")
@@ -187,5 +187,74 @@ fn check_row(row: &[(u32, f32)], joint_count: usize) -> Result<(), &'static str>
         Err("ACCESSOR_JOINTS_INDEX_DUPLICATE")
     } else {
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    /// A triangle with a skin of two joints.
+    fn skinned() -> (Value, Vec<u8>) {
+        let mut binary: Vec<u8> = Vec::new();
+        let mut add = |values: &[f32]| binary.extend(values.iter().flat_map(|value| value.to_le_bytes()));
+        add(&[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0]);
+        add(&[0.75, 0.25, 0.0, 0.0].repeat(3));
+        for height in [0.0, -2.0] {
+            add(&[1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, height, 0.0, 1.0]);
+        }
+        binary.extend([0, 1, 0, 0].repeat(3));
+        let view = |start: usize, length: usize| json!({ "buffer": 0, "byteOffset": start, "byteLength": length });
+        let accessor = |view: usize, component: u32, count: usize, kind: &str| json!({ "bufferView": view, "componentType": component, "count": count, "type": kind });
+        let json = json!({
+            "scenes": [{ "nodes": [0, 1] }],
+            "nodes": [{ "mesh": 0, "skin": 0 }, { "children": [2] }, { "translation": [0, 2, 0] }],
+            "meshes": [{ "primitives": [{ "attributes": { "POSITION": 0, "WEIGHTS_0": 1, "JOINTS_0": 3 } }] }],
+            "skins": [{ "joints": [1, 2], "skeleton": 1, "inverseBindMatrices": 2 }],
+            "accessors": [accessor(0, 5126, 3, "VEC3"), accessor(1, 5126, 3, "VEC4"), accessor(2, 5126, 2, "MAT4"),
+                          accessor(3, 5121, 3, "VEC4")],
+            "bufferViews": [view(0, 36), view(36, 48), view(84, 128), view(212, 12)],
+        });
+        (json, binary)
+    }
+
+    #[test]
+    fn a_sound_skin_passes_and_each_fault_is_found_by_its_code() {
+        let (json, binary) = skinned();
+        assert_eq!(check(&json, &binary), Ok(()));
+        type Change = fn(&mut Value, &mut Vec<u8>);
+        let cases: &[(&str, Change)] = &[
+            ("SKIN_SKELETON_INVALID", |json, _| json["skins"][0]["skeleton"] = json!(2)),
+            ("INVALID_IBM_ACCESSOR_COUNT", |json, _| json["accessors"][2]["count"] = json!(1)),
+            ("SKIN_NO_COMMON_ROOT", |json, _| json["nodes"][1] = json!({})),
+            ("JOINT_NOT_PLAIN", |json, _| json["nodes"][2]["rotation"] = json!([0, 0, 0, 1])),
+            ("ACCESSOR_INVALID_IBM", |json, _| json["nodes"][2]["translation"] = json!([0, 2.1, 0])),
+            ("NODE_SKINNED_MESH_LOCAL_TRANSFORMS", |json, _| json["nodes"][0]["scale"] = json!([1, 1, 2])),
+            ("NODE_SKINNED_MESH_NON_ROOT", |json, _| json["nodes"][2]["children"] = json!([0])),
+            ("NODE_SKIN_NO_SCENE", |json, _| json["scenes"] = json!([{ "nodes": [0] }])),
+            ("NODE_SKIN_WITHOUT_MESH", |json, _| json["nodes"][0] = json!({ "skin": 0 })),
+            ("MESH_PRIMITIVE_JOINTS_WEIGHTS_MISMATCH", |json, _| {
+                json["meshes"][0]["primitives"][0]["attributes"]["WEIGHTS_1"] = json!(1);
+            }),
+            ("MESH_PRIMITIVE_UNEQUAL_ACCESSOR_COUNT", |json, _| json["accessors"][3]["count"] = json!(2)),
+            ("ACCESSOR_JOINTS_INDEX_OOB", |_, binary| binary[213] = 2),
+            ("ACCESSOR_JOINTS_USED_ZERO_WEIGHT", |_, binary| binary[214] = 1),
+            ("ACCESSOR_JOINTS_INDEX_DUPLICATE", |_, binary| binary[213] = 0),
+            ("ACCESSOR_WEIGHTS_NEGATIVE", |_, binary| binary[43] |= 0x80),
+            ("ACCESSOR_WEIGHTS_NON_NORMALIZED", |_, binary| binary[38] = 0),
+            ("WEIGHTS_NOT_DESCENDING", |_, binary| binary[36..44].rotate_left(4)),
+            ("ANIMATION_CHANNEL_TARGET_NODE_SKIN", |json, _| {
+                json["animations"] = json!([{ "channels": [{ "target": { "node": 0, "path": "scale" } }] }]);
+            }),
+        ];
+        for (code, change) in cases {
+            let (mut json, mut binary) = skinned();
+            change(&mut json, &mut binary);
+            match check(&json, &binary) {
+                Err(EncodeError::Invalid { code: found, .. }) => assert_eq!(found, *code),
+                other => panic!("{code}: {other:?}"),
+            }
+        }
     }
 }

@@ -80,7 +80,7 @@ impl Code {
             Code::Expired => ("expired", Status::GONE, "Results expired", "The job succeeded, but its files are no longer kept."),
             Code::MethodNotAllowed => ("method_not_allowed", Status::METHOD_NOT_ALLOWED, "Method not allowed", "The path exists, but not for this HTTP method; Allow names those that do."),
             Code::NotAcceptable => ("not_acceptable", Status::NOT_ACCEPTABLE, "Not acceptable", "The Accept header leaves no form in which the answer can be given."),
-            Code::UploadTimeout => ("upload_timeout", Status::REQUEST_TIMEOUT, "The upload stalled", "No byte of the body arrived for too long. Nothing was kept."),
+            Code::UploadTimeout => ("upload_timeout", Status::REQUEST_TIMEOUT, "The upload stalled", "No byte of the body arrived for too long, or the whole took too long. Nothing was kept."),
             Code::Conflict => ("conflict", Status::CONFLICT, "Not in this state", "The job is in a state that does not allow this."),
             Code::NotCancelable => ("not_cancelable", Status::CONFLICT, "The job is over", "Only jobs that wait or run can be canceled."),
             Code::RangeNotSatisfiable => ("range_not_satisfiable", Status::RANGE_NOT_SATISFIABLE, "Range not satisfiable", "The requested range lies outside the file; Content-Range gives its size."),

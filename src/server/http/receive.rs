@@ -13,6 +13,7 @@ use bytes::Bytes;
 use http_body_util::BodyExt;
 use std::collections::BTreeSet;
 use std::time::Duration;
+use tokio::time::Instant;
 
 /// Bytes collected before they are written, so that a byte-wise upload does not become a byte-wise disk.
 const WRITE_BYTES: usize = 1 << 20;
@@ -210,6 +211,8 @@ struct Sink {
     /// The first bytes of each file, the newest last.
     heads: Vec<(String, Vec<u8>)>,
     pause_max: Duration,
+    /// When even a steady upload has taken too long.
+    deadline: Instant,
 }
 
 impl Sink {
@@ -223,14 +226,20 @@ impl Sink {
             file_bytes: 0,
             heads: Vec::new(),
             pause_max: app.limits.upload_pause_max,
+            deadline: Instant::now() + app.limits.upload_time_max,
         })
     }
 
     /// What `next` gives, unless the sender pauses for too long.
     async fn in_time<T>(&self, next: impl Future<Output = T>) -> Result<T, ApiError> {
-        tokio::time::timeout(self.pause_max, next).await.map_err(|_| {
-            ApiError::new(Code::UploadTimeout, format!("no byte arrived for {} s", self.pause_max.as_secs_f64()))
-                .hint("send it again over a steadier connection")
+        let until = self.deadline.min(Instant::now() + self.pause_max);
+        tokio::time::timeout_at(until, next).await.map_err(|_| {
+            let detail = if until == self.deadline {
+                "the upload took too long".to_owned()
+            } else {
+                format!("no byte arrived for {} s", self.pause_max.as_secs_f64())
+            };
+            ApiError::new(Code::UploadTimeout, detail).hint("send it again over a steadier connection")
         })
     }
 

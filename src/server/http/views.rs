@@ -5,8 +5,7 @@ use super::timestamp::rfc3339;
 use crate::formats::{Finding, Severity};
 use crate::jobs::options::axis_name;
 use crate::jobs::{
-    ArtifactInfo, Availability, FileInfo, Job, JobError, JobRequest, JobResult, JobState, LevelOfDetail, MethodInfo,
-    ModelInfo, RigOptions,
+    ArtifactInfo, FileInfo, Job, JobError, JobRequest, JobResult, JobState, LevelOfDetail, ModelInfo, RigOptions,
 };
 use serde::Serialize;
 use serde_json::{Map, Value};
@@ -242,38 +241,6 @@ pub struct ArtifactListView {
     pub data: Vec<ArtifactView>,
 }
 
-/// What runs here, and up to which sizes.
-#[derive(Debug, Serialize, ToSchema)]
-#[schema(as = MethodList)]
-pub struct MethodListView {
-    #[schema(example = "list")]
-    pub object: &'static str,
-    pub data: Vec<MethodView>,
-    /// Limits of the service, whatever the method.
-    #[schema(example = json!({"upload_bytes": 104_857_600, "queue": 100, "workers": 1, "job_seconds": 300}))]
-    pub limits: BTreeMap<&'static str, u64>,
-}
-
-#[derive(Debug, Serialize, ToSchema)]
-#[schema(as = Method)]
-pub struct MethodView {
-    #[schema(example = "rignet")]
-    pub name: String,
-    #[schema(example = "RigNet")]
-    pub title: String,
-    pub description: String,
-    #[schema(example = true)]
-    pub available: bool,
-    /// Why it cannot run here.
-    pub unavailable_reason: Option<String>,
-    /// Licence of the weights.
-    #[schema(example = "CC-BY-4.0")]
-    pub licence: String,
-    pub models: Vec<ModelView>,
-    #[schema(example = json!({"faces": 2_000_000, "vertices": 1_000_000}))]
-    pub limits: BTreeMap<&'static str, u64>,
-}
-
 pub fn hex(digest: &[u8]) -> String {
     digest.iter().map(|byte| format!("{byte:02x}")).collect()
 }
@@ -340,7 +307,7 @@ fn artifacts(job: &Job, result: &JobResult) -> Vec<ArtifactView> {
     result.artifacts.iter().map(|artifact| ArtifactView::new(job, artifact)).collect()
 }
 
-fn models(models: &[ModelInfo]) -> Vec<ModelView> {
+pub fn models(models: &[ModelInfo]) -> Vec<ModelView> {
     models
         .iter()
         .map(|model| ModelView {
@@ -421,25 +388,6 @@ impl From<&JobError> for JobErrorView {
             retryable: error.code.retryable(),
             r#type: format!("/v1/problems/{}", error.code.name()),
             limit: error.limit.map(Limit::from),
-        }
-    }
-}
-
-impl From<&MethodInfo> for MethodView {
-    fn from(method: &MethodInfo) -> Self {
-        let unavailable_reason = match &method.availability {
-            Availability::Available => None,
-            Availability::Unavailable { reason } => Some(reason.clone()),
-        };
-        Self {
-            name: method.name.clone(),
-            title: method.title.clone(),
-            description: method.description.clone(),
-            available: unavailable_reason.is_none(),
-            unavailable_reason,
-            licence: method.licence.clone(),
-            models: models(&method.models),
-            limits: method.limits.iter().copied().collect(),
         }
     }
 }

@@ -32,6 +32,19 @@ fn a_missing_texture_is_refused_by_its_name_unless_allowed() {
 }
 
 #[test]
+fn material_libraries_with_blanks_in_their_name_and_several_on_a_line_are_read() {
+    let upload = files([("look.mtl", b"newmtl skin\nKd 1 0 0\n".as_slice())]);
+    let of = |line: &str| String::from_utf8_lossy(TEXTURED_OBJ).replace("mtllib look.mtl", line).into_bytes();
+    let asset = read_with("a.obj", &of("mtllib other.mtl look.mtl"), &upload).expect("reads");
+    assert_eq!(scene(&asset).materials[0].base_color, [1.0, 0.0, 0.0, 1.0]);
+    assert!(asset.findings.iter().any(|finding| finding.message.contains("library other.mtl was")));
+    let asset = read_with("a.obj", &of("mtllib my look.mtl"), &files([("my look.mtl", b"newmtl skin\nKd 0 1 0\n")]));
+    assert_eq!(scene(&asset.expect("reads")).materials[0].base_color, [0.0, 1.0, 0.0, 1.0]);
+    let asset = accept("a.obj", &of("mtllib my look.mtl"));
+    assert_eq!(codes(&asset), ["missing_material_library"], "one line, one finding");
+}
+
+#[test]
 fn a_missing_material_library_is_a_finding() {
     let asset = accept("a.obj", TEXTURED_OBJ);
     assert!(codes(&asset).contains(&"missing_material_library"));

@@ -127,6 +127,10 @@ async fn uploads_that_stall_or_break_leave_nothing() {
         let stalled = Body::new(Endless { chunks: vec![chunk], breaks: false });
         service.send(post(&[field], stalled)).await.refused(408, "upload_timeout");
     }
+    let slow = Service::with(|_, limits| limits.upload_time_max = Duration::from_millis(50));
+    let refused = slow.send(post(&[OBJ], Body::new(Endless { chunks: vec![b"ok"], breaks: false }))).await;
+    let problem = refused.refused(408, "upload_timeout");
+    assert_eq!(problem["detail"], "the upload took too long");
     let broken = Body::new(Endless { chunks: vec![b"ok"], breaks: true });
     service.send(post(&[OBJ], broken)).await.refused(400, "upload_incomplete");
     let abandoned = Body::new(Endless { chunks: vec![b"ok"], breaks: false });
