@@ -25,7 +25,7 @@ FROM debian:bookworm-slim
 RUN apt-get update \
     && apt-get install -y --no-install-recommends libstdc++6 \
     && rm -rf /var/lib/apt/lists/* \
-    && useradd --system --uid 10001 --home-dir /var/lib/rigsmith --create-home rigsmith
+    && useradd --uid 10001 --user-group --home-dir /var/lib/rigsmith --create-home --shell /usr/sbin/nologin rigsmith
 # Where the program looks for what it needs: ../lib/rigsmith and ../share/rigsmith/models beside its own folder.
 COPY --from=onnxruntime /rigsmith/third_party/onnxruntime/libonnxruntime.so /usr/local/lib/rigsmith/
 COPY --from=onnxruntime /rigsmith/third_party/onnxruntime/LICENSE /rigsmith/third_party/onnxruntime/ThirdPartyNotices.txt /usr/local/share/doc/onnxruntime/
