@@ -176,7 +176,7 @@ pub struct ResultView {
 #[derive(Debug, Serialize, ToSchema)]
 #[schema(as = Artifact)]
 pub struct ArtifactView {
-    #[schema(example = "hero.rigged.glb")]
+    #[schema(example = "rigged.glb")]
     pub name: String,
     #[schema(example = "model/gltf-binary")]
     pub media_type: &'static str,
@@ -184,7 +184,7 @@ pub struct ArtifactView {
     pub bytes: u64,
     #[schema(example = "fcde2b2edba56bf408601fb721fe9b5c338d10ee429ea04fae5511b68fbf8fb9")]
     pub sha256: String,
-    #[schema(example = "/v1/rigs/rig_01jdf5fj63fh5ra1njpy75fmyg/artifacts/hero.rigged.glb")]
+    #[schema(example = "/v1/rigs/rig_01jdf5fj63fh5ra1njpy75fmyg/artifacts/rigged.glb")]
     pub url: String,
 }
 
