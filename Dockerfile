@@ -25,7 +25,7 @@ FROM debian:bookworm-slim
 RUN apt-get update \
     && apt-get install -y --no-install-recommends libstdc++6 \
     && rm -rf /var/lib/apt/lists/* \
-    && useradd --system --uid 10001 --home-dir /var/lib/rigsmith --create-home rigsmith
+    && useradd --uid 10001 --user-group --home-dir /var/lib/rigsmith --create-home --shell /usr/sbin/nologin rigsmith
 # Where the program looks for what it needs: ../lib/rigsmith and ../share/rigsmith/models beside its own folder.
 COPY --from=onnxruntime /rigsmith/third_party/onnxruntime/libonnxruntime.so /usr/local/lib/rigsmith/
 COPY --from=onnxruntime /rigsmith/third_party/onnxruntime/LICENSE /rigsmith/third_party/onnxruntime/ThirdPartyNotices.txt /usr/local/share/doc/onnxruntime/
@@ -37,7 +37,6 @@ WORKDIR /var/lib/rigsmith
 ENV RIGSMITH_LISTEN=0.0.0.0:8080 RIGSMITH_DATA=/var/lib/rigsmith/data
 EXPOSE 8080
 VOLUME /var/lib/rigsmith
-# Bash speaks TCP, so the image needs no client for this.
 HEALTHCHECK --interval=10s --timeout=5s --start-period=30s --retries=3 \
-    CMD ["bash", "-c", "exec 3<>/dev/tcp/127.0.0.1/8080 && printf 'GET /readyz HTTP/1.0\\r\\nHost: localhost\\r\\n\\r\\n' >&3 && head -n 1 <&3 | grep -q ' 200 '"]
+    CMD ["rigsmith", "health", "--listen", "127.0.0.1:8080"]
 CMD ["rigsmith", "serve"]
