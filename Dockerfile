@@ -18,6 +18,7 @@ COPY src src
 # Cargo wants every target of the manifest to exist, also those that are not built here.
 COPY benches benches
 COPY examples examples
+COPY fuzz/seeds.rs fuzz/seeds.rs
 RUN cargo build --release --locked --bin rigsmith
 
 FROM debian:bookworm-slim
