@@ -220,6 +220,7 @@ fn the_runtime_reports_nothing_and_leaves_nothing_in_the_home_folder() {
         .output()
         .expect("the program starts");
     succeeded(&output);
-    let left: Vec<_> = std::fs::read_dir(home.path()).expect("home").map(|entry| entry.expect("entry").path()).collect();
+    let left: Vec<_> =
+        std::fs::read_dir(home.path()).expect("home").map(|entry| entry.expect("entry").path()).collect();
     assert!(left.is_empty(), "{left:?}");
 }
