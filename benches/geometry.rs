@@ -94,7 +94,7 @@ fn stages(criterion: &mut Criterion) {
         bench("surface_geodesic", &|| sink(SurfaceGeodesic::new(&samples, &mesh.positions)));
         bench("geodesic_balls", &|| sink(geodesic.balls(BALL_RADIUS)));
         bench("neighbor_table", &|| {
-            sink(NeighborTable::capped(&balls, GEODESIC_CAP, &mesh.positions));
+            sink(NeighborTable::capped(&balls, GEODESIC_CAP, &mesh.positions, 0));
         });
         bench("voxel_grid", &|| sink(VoxelGrid::solid(mesh)));
         bench("symmetry_plane", &|| sink(detect_symmetry_plane(&samples, &surface)));

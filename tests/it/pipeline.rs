@@ -55,6 +55,19 @@ fn symmetry_on_makes_every_joint_a_mirror_image_of_one() {
 }
 
 #[test]
+fn another_seed_asks_the_networks_about_other_neighbours() {
+    let positions = |seed| {
+        let cancellation = Cancellation::default();
+        let watch = Watch { cancellation: &cancellation, on_stage: &|_| {} };
+        let options = RigOptions { seed, ..RigOptions::default() };
+        let subject = Subject { mesh: character(), to_upright: DMat3::IDENTITY };
+        rig(subject, models(), &options, watch).expect("rigs").rig.skeleton.positions()
+    };
+    assert_eq!(positions(1), positions(1));
+    assert_ne!(positions(0), positions(1));
+}
+
+#[test]
 fn a_larger_bandwidth_does_not_give_more_joints() {
     let with = |h| RigOptions { level_of_detail: LevelOfDetail::Bandwidth(h), ..RigOptions::default() };
     let fine = run(character(), &with(0.03), None).0.expect("rigs");
