@@ -7,7 +7,7 @@
 //! - At most `cap` members of a geodesic ball are chosen by a fixed hash, where the published code draws them at random.
 //! - The cap is on the vertices that a vertex pools *from*. The published code caps how many vertices pool from it.
 
-use super::place_hash::mix;
+use super::place_hash::{mix, place_hash};
 use crate::mesh::adjacency::Neighbors;
 use glam::DVec3;
 
@@ -40,7 +40,8 @@ impl NeighborTable {
     /// The networks are sensitive to this choice: another random ten moved displaced points by 2 % of the longest side on
     /// average (sample character, 4,007 vertices), so it must not change with the frame.
     pub fn capped(neighbors: &Neighbors, cap: usize, positions: &[DVec3], seed: u64) -> Self {
-        let mut ranked: Vec<(u64, u64, u32)> = Vec::new();
+        let places: Vec<u64> = positions.iter().map(|&position| place_hash(position)).collect();
+        let mut ranked: Vec<(u64, u64, u64, u32)> = Vec::new();
         Self::filled(neighbors.vertex_count(), cap, |vertex, row| {
             let all = neighbors.row(vertex);
             if all.len() <= cap {
@@ -50,11 +51,12 @@ impl NeighborTable {
             ranked.clear();
             ranked.extend(all.iter().map(|&member| {
                 let distance = positions[vertex].distance(positions[member as usize]);
-                // Not negative, so the bits sort as the numbers do.
-                (mix((distance / RING) as u64 ^ seed.rotate_left(32)), distance.to_bits(), member)
+                let ring = mix((distance / RING) as u64 ^ seed.rotate_left(32));
+                // Not negative, so the bits sort as the numbers do. Equal distances are told apart by place.
+                (ring, distance.to_bits(), places[member as usize], member)
             }));
             ranked.select_nth_unstable(cap);
-            row.extend(ranked[..cap].iter().map(|&(_, _, member)| member));
+            row.extend(ranked[..cap].iter().map(|&(_, _, _, member)| member));
             row.sort_unstable();
         })
     }
