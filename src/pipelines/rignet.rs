@@ -13,7 +13,7 @@ use crate::mesh::normalize::Normalization;
 use crate::mesh::working_mesh::WorkingMesh;
 use crate::nets::rignet::{RigNets, ShapeGraph};
 use crate::rig::bone_features::{BONE_CHANNELS, NEAREST_BONES, bone_features};
-use crate::rig::bone_weights::{BoneWeights, PRUNE_SHARE};
+use crate::rig::bone_weights::{BoneWeights, PRUNE_SHARE, SMOOTHINGS, TRACE_SHARE};
 use crate::rig::detect_joints::{DetectedJoints, Evidence, detect_joints};
 use crate::rig::quality::inside_share;
 use crate::rig::spanning_tree::{BoneCosts, OutsideRule, Tree, minimum_spanning_tree, symmetric_spanning_tree};
@@ -206,8 +206,12 @@ fn skin(
         watch.cancellation,
     )?;
     let logits: Vec<f32> = logits.iter().copied().collect();
-    let weights =
+    let mut weights =
         BoneWeights::from_logits(&logits, &features, bones.len()).one_ring_mean(&shape.one_ring).pruned(PRUNE_SHARE);
+    for _ in 0..SMOOTHINGS {
+        weights = weights.smoothed(&shape.one_ring);
+    }
+    let weights = weights.pruned(TRACE_SHARE);
     Ok(SkinWeights::from_bones(&weights, &bones, &features.nearest, options.max_influences))
 }
 

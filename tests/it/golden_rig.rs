@@ -8,7 +8,7 @@ use rigsmith::geometry::symmetry_plane::SymmetryPlane;
 use rigsmith::mesh::adjacency::Neighbors;
 use rigsmith::rig::Skeleton;
 use rigsmith::rig::bone_features::{BONE_CHANNELS, BoneFeatures, NEAREST_BONES, bone_features};
-use rigsmith::rig::bone_weights::{BoneWeights, PRUNE_SHARE};
+use rigsmith::rig::bone_weights::{BoneWeights, PUBLISHED_PRUNE_SHARE};
 use rigsmith::rig::detect_joints::{Evidence, Fineness, detect_joints};
 use rigsmith::rig::joint_clustering::{MeanShift, ModeRule, dense_points, mean_shift, summed_density};
 use rigsmith::rig::non_maximum_suppression::suppress_non_maxima;
@@ -249,7 +249,7 @@ fn golden_weights_agree_before_and_after_filter_and_at_the_end() {
         );
         let after = before.one_ring_mean(&one_ring(&case));
         assert!(largest_difference(&after.values, &case.f32s("skin_bone_weights_after_filter")) < 1e-6, "{}", case.id);
-        let last = after.pruned(PRUNE_SHARE);
+        let last = after.pruned(PUBLISHED_PRUNE_SHARE);
         assert!(largest_difference(&last.values, &case.f32s("skin_bone_weights_final")) < 1e-6, "{}", case.id);
     }
 }
