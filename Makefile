@@ -2,6 +2,7 @@
 
 LISTEN   ?= 127.0.0.1:8080
 MINUTES  ?= 10
+DATA     ?=
 WHEEL    ?=
 CARGO    ?= cargo
 PYTHON   ?= python3
@@ -23,7 +24,7 @@ run: build ## fetch ONNX Runtime, build, and start the service on http://127.0.0
 	@printf '  curl -sS --fail-with-body -o rigged.glb -H "Content-Type: model/gltf-binary" -H "Prefer: wait=60" \\\n'
 	@printf '       -H "Accept: model/gltf-binary" --data-binary @tests/fixtures/sample-character.glb \\\n'
 	@printf '       http://$(LISTEN)/v1/rigs\n\n'
-	@printf 'The description of the API is at http://$(LISTEN)/openapi.json. Stop with Ctrl-C.\n\n'
+	@printf 'The API is described at http://$(LISTEN)/docs and, as OpenAPI, at http://$(LISTEN)/v1/openapi.json. Stop with Ctrl-C.\n\n'
 	@exec $(BINARY) serve --listen $(LISTEN)
 
 .PHONY: build
@@ -46,16 +47,16 @@ check: ## only the quick part: formatting and lints
 	$(CARGO) clippy --release --all-targets --locked -- -D warnings
 
 .PHONY: outputs
-outputs: build python-packages ## rig every case of the checks into target/checks/outputs
+outputs: checked-programs python-packages ## rig every case of the checks into target/checks/outputs
 	$(VENV)/bin/python $(CHECKS)/rig_cases.py $(OUTPUTS)
 
 .PHONY: contact-sheet
-contact-sheet: build python-packages ## draw the produced rigs on one sheet, target/checks/contact-sheet.png
+contact-sheet: checked-programs python-packages ## draw the produced rigs on one sheet, target/checks/contact-sheet.png
 	$(VENV)/bin/python $(CHECKS)/rig_cases.py --previews $(OUTPUTS)
 	$(VENV)/bin/python $(CHECKS)/contact_sheet.py $(OUTPUTS) target/checks/contact-sheet.png
 
 .PHONY: check-blender
-check-blender: build python-packages ## load and pose the produced files in Blender (fetches about 1 GB; needs Python 3.11)
+check-blender: checked-programs python-packages ## load and pose the produced files in Blender (fetches about 1 GB; needs Python 3.11)
 	$(VENV)/bin/python $(CHECKS)/rig_cases.py $(OUTPUTS)
 	@$(CHECKS)/blender-venv.sh target/checks/blender-venv
 	target/checks/blender-venv/bin/python $(CHECKS)/blender.py $(OUTPUTS)
@@ -68,23 +69,30 @@ fuzz: ## every decoder under the fuzzer for MINUTES each (needs cargo-fuzz)
 
 .PHONY: bench
 bench: ort ## time and memory per stage, beside this machine's matrix-product rate
-	$(CARGO) bench --locked
+	$(CARGO) bench --locked --bench pipeline
+	$(CARGO) bench --locked --bench geometry --bench rig
 
 # ---- networks (models/README.md; these need PyTorch) ------------------------------------------------------------------
 
 .PHONY: train
-train: ## train the networks for MINUTES
-	cd models && $(PYTHON) -m rigsmith_models.train --minutes $(MINUTES)
+train: ## train the networks for MINUTES on DATA (cache files)
+	@test -n "$(DATA)" || { echo 'name the training data: make train MINUTES=90 DATA="cache/*.npz" (models/TRAINING.md)'; exit 1; }
+	PYTHON=$(PYTHON) models/train_all.sh --minutes $(MINUTES) $(DATA)
 
 .PHONY: export
 export: ## write the trained networks as ONNX graphs with their manifest
-	cd models && $(PYTHON) export.py
+	$(PYTHON) models/export.py
 
 .PHONY: evaluate
 evaluate: ## measure the exported networks on held-out characters
-	cd models && $(PYTHON) -m rigsmith_models.evaluate
+	$(PYTHON) models/evaluate.py
 
 # ---- what the checks stand on -----------------------------------------------------------------------------------------
+
+# The program and the examples as the tests build them (with the features that the tests' own dependencies ask for).
+.PHONY: checked-programs
+checked-programs: ort
+	$(CARGO) build --release --locked --bins --examples
 
 .PHONY: python-packages
 python-packages: $(VENV)/.installed

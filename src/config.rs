@@ -35,6 +35,10 @@ pub struct ServeConfig {
     #[arg(long, env = "RIGSMITH_UPLOAD_PAUSE_SECONDS", value_name = "SECONDS", default_value_t = 30)]
     pub upload_pause_seconds: u64,
 
+    /// Longest time in seconds that one upload may take
+    #[arg(long, env = "RIGSMITH_UPLOAD_SECONDS", value_name = "SECONDS", default_value_t = 900)]
+    pub upload_seconds: u64,
+
     /// Longest run of one job in seconds
     #[arg(long, env = "RIGSMITH_JOB_SECONDS", value_name = "SECONDS", default_value_t = 300)]
     pub job_seconds: u64,
@@ -56,7 +60,7 @@ pub struct ServeConfig {
     pub log_format: LogFormat,
 
     /// What is logged, as in `info` or `rigsmith=debug,warn`
-    #[arg(long, env = "RIGSMITH_LOG", value_name = "FILTER", default_value = "info")]
+    #[arg(long, env = "RIGSMITH_LOG", value_name = "FILTER", default_value = "info,ort=warn")]
     pub log: String,
 }
 
@@ -65,5 +69,23 @@ fn at_least_one(text: &str) -> Result<usize, String> {
         Ok(0) => Err("must be at least 1".to_owned()),
         Ok(count) => Ok(count),
         Err(error) => Err(format!("{error}")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Args;
+
+    #[test]
+    fn every_setting_is_a_flag_a_variable_and_has_a_default() {
+        let command = ServeConfig::augment_args(clap::Command::new("serve"));
+        command.clone().debug_assert();
+        for setting in command.get_arguments() {
+            let name = setting.get_id().as_str();
+            let variable = format!("RIGSMITH_{}", name.to_uppercase());
+            assert_eq!(setting.get_env().and_then(|env| env.to_str()), Some(variable.as_str()));
+            assert!(setting.get_long().is_some() && !setting.get_default_values().is_empty(), "{name}");
+        }
     }
 }

@@ -20,8 +20,9 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 REQUIREMENTS = Path(__file__).resolve().parent / "onnxruntime-requirements.txt"
 TARGET = ROOT / "third_party" / "onnxruntime"
-# One file name on every platform: the loader opens a path and does not look at its suffix.
+# One file name on every platform, which .cargo/config.toml names; macOS gets a link with the usual name beside it.
 LIBRARY = TARGET / "libonnxruntime.so"
+MACOS_NAME = TARGET / "libonnxruntime.dylib"
 NOTICES = ("LICENSE", "ThirdPartyNotices.txt")
 
 # (system, machine) -> (pip's platform tag, the library's name in the wheel, the library's sha256)
@@ -84,6 +85,8 @@ def unpack(wheel: Path, member: str, expected_sha256: str) -> None:
         unchecked.unlink()
         sys.exit(f"{wheel.name} holds a {member} with digest {found}, not {expected_sha256}: it was not installed.")
     unchecked.replace(LIBRARY)
+    if member.endswith(".dylib") and not MACOS_NAME.is_symlink():
+        MACOS_NAME.symlink_to(LIBRARY.name)
 
 
 def main() -> None:

@@ -79,6 +79,20 @@ pub fn detect(file_name: &str, bytes: &[u8]) -> Result<Kind, DecodeError> {
         .ok_or_else(|| DecodeError::UnsupportedFormat { seen: unknown(file_name, bytes) })
 }
 
+/// Refuses by its first bytes what is surely no mesh, so that an upload need not be received to its end. Whatever is
+/// not known here passes.
+pub fn refuse_foreign(head: &[u8]) -> Result<(), DecodeError> {
+    let markup = || {
+        let text = String::from_utf8_lossy(&head[..head.len().min(TEXT_HEAD_BYTES)]).into_owned();
+        let begun = text.trim_start().starts_with('<');
+        FOREIGN_TEXT.iter().find(|(word, _)| begun && text.contains(word)).map(|(_, seen)| (*seen).to_owned())
+    };
+    match by_magic(head).is_none().then(|| foreign(head).or_else(markup)).flatten() {
+        Some(seen) => Err(DecodeError::UnsupportedFormat { seen }),
+        None => Ok(()),
+    }
+}
+
 fn by_magic(bytes: &[u8]) -> Option<Kind> {
     let ply_line_end = |byte: Option<&u8>| matches!(byte, Some(b'\n' | b'\r' | b' '));
     if bytes.starts_with(b"glTF") {

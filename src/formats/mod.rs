@@ -12,10 +12,13 @@ mod limits;
 mod mtl;
 pub mod npz;
 pub mod obj;
+mod obj_statements;
 pub mod ply;
 mod ply_header;
 mod polygon;
 pub mod preview;
+pub mod rig_json;
+pub mod rignet_text;
 mod scene;
 mod scene_builder;
 mod siblings;
@@ -25,6 +28,7 @@ mod text;
 mod textures;
 mod zip_directory;
 
+pub use detect::refuse_foreign;
 pub use error::{DecodeError, ExceededLimit, Place};
 pub use limits::Limits;
 pub use scene::{Alpha, Image, ImageType, Material, Scene, SceneNode, ScenePrimitive};
@@ -32,6 +36,7 @@ pub use siblings::{NoSiblings, Siblings, relative_name};
 
 use crate::mesh::Mesh;
 use detect::Kind;
+use glam::DVec3;
 use siblings::BoundedSiblings;
 use std::ops::Range;
 
@@ -155,6 +160,20 @@ pub enum Format {
     Fbx,
 }
 
+impl Format {
+    /// For reports and messages.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Glb => "glb",
+            Self::Gltf => "gltf",
+            Self::Obj => "obj",
+            Self::Ply => "ply",
+            Self::Stl => "stl",
+            Self::Fbx => "fbx",
+        }
+    }
+}
+
 /// Which way is up and which way a character faces, as signed unit axes of upload space.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Axes {
@@ -170,6 +189,34 @@ pub enum Axis {
     NegY,
     PosZ,
     NegZ,
+}
+
+impl Axis {
+    pub const ALL: [Self; 6] = [Self::PosX, Self::NegX, Self::PosY, Self::NegY, Self::PosZ, Self::NegZ];
+
+    /// The unit vector along it.
+    pub fn direction(self) -> DVec3 {
+        match self {
+            Self::PosX => DVec3::X,
+            Self::NegX => DVec3::NEG_X,
+            Self::PosY => DVec3::Y,
+            Self::NegY => DVec3::NEG_Y,
+            Self::PosZ => DVec3::Z,
+            Self::NegZ => DVec3::NEG_Z,
+        }
+    }
+
+    /// As requests and reports spell it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::PosX => "+x",
+            Self::NegX => "-x",
+            Self::PosY => "+y",
+            Self::NegY => "-y",
+            Self::PosZ => "+z",
+            Self::NegZ => "-z",
+        }
+    }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -7,7 +7,7 @@
 use glam::{DVec2, DVec3};
 
 /// Ear clipping is quadratic; with 2,000,000 triangles per upload this bounds the work of a hostile file to seconds.
-const EAR_CLIPPING_CORNERS_MAX: usize = 512;
+const EAR_CLIPPING_CORNERS_MAX: usize = 256;
 
 /// Triangles over `corners` `[N, 3]`, as indices below N; N - 2 of them, none for N < 3. Orientation is kept.
 pub(super) fn triangulate(corners: &[DVec3]) -> Vec<[usize; 3]> {

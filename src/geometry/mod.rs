@@ -5,12 +5,15 @@
 
 pub mod bone_pairs;
 pub mod bvh;
+pub mod close_pairs;
 pub mod neighbor_table;
 pub mod orientation;
+pub mod place_hash;
 pub mod point_tree;
 pub mod surface_geodesic;
 pub mod surface_samples;
 pub mod symmetry_plane;
 pub mod transfer;
+pub mod triangle;
 pub mod volumetric_geodesic;
 pub mod voxel_grid;

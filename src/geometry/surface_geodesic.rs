@@ -118,17 +118,17 @@ impl SurfaceGeodesic {
             sources.iter().map(|&vertex| (self.sample_of_vertex[vertex as usize], vertex)).collect();
         starts.sort_unstable();
         starts.dedup_by_key(|&mut (sample, _)| sample);
-        let mut best = self.from_starts(&starts);
-        for sample in 0..best.len() {
-            if best[sample].distance.is_infinite() {
-                best[sample] = self.straight(sample, &starts);
+        let mut best = self.shortest_paths(&starts);
+        for (sample, nearest) in best.iter_mut().enumerate() {
+            if nearest.distance.is_infinite() {
+                *nearest = self.straight(sample, &starts);
             }
         }
         self.sample_of_vertex.iter().map(|&sample| best[sample as usize]).collect()
     }
 
     /// Shortest paths from several samples at once, each with the vertex that stands for it. `[S]`
-    fn from_starts(&self, starts: &[(u32, u32)]) -> Vec<NearestSource> {
+    fn shortest_paths(&self, starts: &[(u32, u32)]) -> Vec<NearestSource> {
         let unreached = NearestSource { source: u32::MAX, distance: f64::INFINITY };
         let mut best = vec![unreached; self.sample_positions.len()];
         let mut queue = BinaryHeap::with_capacity(self.sample_positions.len());
@@ -260,5 +260,100 @@ impl Search {
             }
         }
         &self.reached
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::surface_samples::SAMPLE_COUNT;
+    use crate::mesh::Mesh;
+    use crate::mesh::test_shapes::{degenerate, joined, sphere, tube};
+
+    fn of(mesh: &Mesh) -> SurfaceGeodesic {
+        SurfaceGeodesic::new(&SurfaceSamples::new(mesh, SAMPLE_COUNT), &mesh.positions)
+    }
+
+    #[test]
+    fn distances_on_a_sphere_are_arcs_and_the_matrix_is_symmetric() {
+        let mesh = sphere(DVec3::ZERO, 0.5, 40);
+        let geodesic = of(&mesh);
+        let rows: Vec<Vec<f64>> = (0..mesh.positions.len()).step_by(37).map(|vertex| geodesic.row(vertex)).collect();
+        let (mut stretch, mut pairs) = (0.0, 0.0);
+        for (index, row) in rows.iter().enumerate() {
+            let from = mesh.positions[index * 37];
+            for (to, &distance) in mesh.positions.iter().zip(row) {
+                let arc = 0.5 * from.angle_between(*to);
+                assert!(distance > 0.9 * arc - 0.03 && distance < 2.0 * arc + 0.06, "{distance} for an arc of {arc}");
+                if arc > 0.1 {
+                    stretch += distance / arc;
+                    pairs += 1.0;
+                }
+            }
+            for (other, other_row) in rows.iter().enumerate() {
+                assert!((row[other * 37] - other_row[index * 37]).abs() < 1e-12);
+            }
+        }
+        assert!((1.0..1.1).contains(&(stretch / pairs)), "paths are {} times as long as arcs", stretch / pairs);
+    }
+
+    #[test]
+    fn balls_hold_what_rows_hold() {
+        let mesh = tube(DVec3::ZERO, 0.1, 1.0, 30, 40);
+        let geodesic = of(&mesh);
+        let balls = geodesic.balls(BALL_RADIUS);
+        for vertex in (0..mesh.positions.len()).step_by(53) {
+            let row = geodesic.row(vertex);
+            let near = |&other: &u32| other as usize != vertex && row[other as usize] <= BALL_RADIUS;
+            let expected: Vec<u32> = (0..row.len() as u32).filter(near).collect();
+            assert_eq!(balls.row(vertex), expected);
+        }
+    }
+
+    #[test]
+    fn the_nearest_source_is_the_least_of_the_rows() {
+        let mesh = joined(&[sphere(DVec3::ZERO, 0.2, 24), sphere(DVec3::X, 0.2, 24)]);
+        let geodesic = of(&mesh);
+        let half = mesh.positions.len() as u32 / 2;
+        for sources in [vec![3, 40, 101], vec![half + 5], vec![7, half + 9]] {
+            let rows: Vec<Vec<f64>> = sources.iter().map(|&source| geodesic.row(source as usize)).collect();
+            for (vertex, nearest) in geodesic.nearest_sources(&sources).into_iter().enumerate() {
+                let least = rows.iter().map(|row| row[vertex]).fold(f64::INFINITY, f64::min);
+                assert!((nearest.distance - least).abs() < 1e-12);
+                let at = sources.iter().position(|&source| source == nearest.source).unwrap();
+                assert!((rows[at][vertex] - least).abs() < 1e-12);
+            }
+        }
+        let across = geodesic.row(0)[half as usize];
+        assert!((across - UNREACHABLE - 1.0).abs() < 0.03, "{across}");
+    }
+
+    #[test]
+    fn samples_at_one_place_are_joined() {
+        let positions = vec![DVec3::ZERO, DVec3::ZERO, DVec3::X * 0.01, DVec3::X * 0.01];
+        let samples = SurfaceSamples { positions: positions.clone(), normals: vec![DVec3::Y; 4] };
+        let geodesic = SurfaceGeodesic::new(&samples, &positions);
+        assert_eq!(geodesic.row(0), [0.0, 0.0, 0.01, 0.01]);
+    }
+
+    #[test]
+    fn opposite_sides_of_a_sheet_are_far_apart() {
+        let side = |y: f64| (0..400).map(move |i| DVec3::new(f64::from(i % 20) * 0.02, y, f64::from(i / 20) * 0.02));
+        let positions: Vec<DVec3> = side(0.0).chain(side(0.001)).collect();
+        let normals = (0..800).map(|i| if i < 400 { -DVec3::Y } else { DVec3::Y }).collect();
+        let geodesic = SurfaceGeodesic::new(&SurfaceSamples { positions: positions.clone(), normals }, &positions);
+        assert!(geodesic.row(210)[610] > UNREACHABLE);
+    }
+
+    #[test]
+    fn degenerate_shapes_have_distances() {
+        for mesh in degenerate() {
+            let geodesic = of(&mesh);
+            assert_eq!(geodesic.balls(BALL_RADIUS).vertex_count(), mesh.positions.len());
+            assert_eq!(geodesic.nearest_sources(&[]).len(), mesh.positions.len());
+            if !mesh.positions.is_empty() {
+                assert_eq!(geodesic.row(0).len(), mesh.positions.len());
+            }
+        }
     }
 }

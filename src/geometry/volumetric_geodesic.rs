@@ -122,3 +122,73 @@ fn by_vertex(vertex_count: usize, columns: &[Vec<f32>]) -> Vec<f32> {
     }
     rows
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::surface_samples::{SAMPLE_COUNT, SurfaceSamples};
+    use crate::mesh::Mesh;
+    use crate::mesh::test_shapes::{joined, sphere, tube};
+
+    fn distances(mesh: &Mesh, bones: &[Segment]) -> Vec<f32> {
+        let samples = SurfaceSamples::new(mesh, SAMPLE_COUNT);
+        let geodesic = SurfaceGeodesic::new(&samples, &mesh.positions);
+        volumetric_geodesic_distance(&mesh.positions, &geodesic, &Bvh::new(mesh), bones)
+    }
+
+    #[test]
+    fn a_bone_along_the_middle_of_a_tube_is_its_radius_away() {
+        let mesh = tube(DVec3::ZERO, 0.1, 1.0, 30, 40);
+        for distance in distances(&mesh, &[(DVec3::ZERO, DVec3::Y)]) {
+            assert!((distance - 0.1).abs() < 1e-6, "{distance}");
+        }
+    }
+
+    /// Two legs side by side: the bone of one reaches the other only through their shared surface, here not at all.
+    #[test]
+    fn a_bone_in_one_leg_is_far_from_the_other() {
+        let (left, right) = (tube(DVec3::X * 0.06, 0.05, 1.0, 24, 30), tube(DVec3::X * -0.06, 0.05, 1.0, 24, 30));
+        let vertices = left.positions.len();
+        let mesh = joined(&[left, right]);
+        let distance = distances(&mesh, &[(DVec3::X * 0.06, DVec3::new(0.06, 1.0, 0.0))]);
+        assert!(distance[..vertices].iter().all(|&distance| distance < 0.06));
+        // Open ends let the bone see a few vertices of the other leg's rim; none of them is within its reach.
+        assert!(distance[vertices..].iter().all(|&distance| distance > 0.06));
+    }
+
+    #[test]
+    fn bones_that_see_nothing_or_are_points_measure_straight() {
+        let mesh = joined(&[sphere(DVec3::ZERO, 0.5, 24), sphere(DVec3::ZERO, 0.1, 24)]);
+        let bones = [(DVec3::ZERO, DVec3::ZERO), (DVec3::X * 0.01, DVec3::X * 0.02)];
+        let straight = bone_euclid(&mesh.positions, &bones);
+        let around = distances(&mesh, &bones);
+        assert!(around.iter().zip(&straight).all(|(around, straight)| around.is_finite() && around >= straight));
+        let outer = mesh.positions.iter().position(|position| position.length() > 0.4).unwrap();
+        assert!((straight[outer * 2] - 0.5).abs() < 1e-6);
+        assert!(around[outer * 2] > 8.0, "the inner shell hides the outer one");
+        let blind = distance_given_visibility(
+            &mesh.positions,
+            &SurfaceGeodesic::new(&SurfaceSamples::default(), &mesh.positions),
+            &bones,
+            &vec![false; straight.len()],
+        );
+        assert_eq!(blind, straight);
+    }
+
+    #[test]
+    fn quantiles_interpolate() {
+        assert_eq!(quantile(&mut [], 0.15), None);
+        assert_eq!(quantile(&mut [7.0], 0.15), Some(7.0));
+        assert_eq!(quantile(&mut [4.0, 1.0, 3.0, 2.0, 5.0], 0.15), Some(1.6));
+    }
+
+    #[test]
+    fn one_thread_and_two_give_the_same_bits() {
+        let mesh = joined(&[sphere(DVec3::ZERO, 0.5, 24), tube(DVec3::X, 0.1, 1.0, 20, 20)]);
+        let bones = [(DVec3::ZERO, DVec3::X), (DVec3::X, DVec3::new(1.0, 1.0, 0.0)), (DVec3::Y, DVec3::Y)];
+        let with = |threads| {
+            rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(|| distances(&mesh, &bones))
+        };
+        assert_eq!(with(1), with(2));
+    }
+}

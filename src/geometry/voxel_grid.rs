@@ -247,3 +247,72 @@ fn mark_surface([a, b, c]: [DVec3; 3], closed: &mut [bool]) {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mesh::test_shapes::{degenerate, joined, sphere, torus, tube, volume};
+
+    /// Volume of the solid over the volume enclosed by `mesh`.
+    fn filled(mesh: &Mesh, enclosed: f64) -> f64 {
+        let grid = VoxelGrid::solid(mesh);
+        let cell = grid.side / RESOLUTION as f64;
+        grid.inside.iter().filter(|inside| **inside).count() as f64 * cell.powi(3) / enclosed
+    }
+
+    #[test]
+    fn closed_shapes_fill_their_volume() {
+        for mesh in [sphere(DVec3::new(3.0, 1.0, -2.0), 0.4, 40), torus(0.4, 0.1, 60)] {
+            let share = filled(&mesh, volume(&mesh));
+            assert!((share - 1.0).abs() < 0.02, "{share}");
+        }
+    }
+
+    #[test]
+    fn flipped_faces_and_whole_shells_inside_out_fill_as_well() {
+        let straight = sphere(DVec3::ZERO, 0.4, 40);
+        for modulus in [1, 2, 3, 7] {
+            let mut mesh = straight.clone();
+            mesh.triangles.iter_mut().step_by(modulus).for_each(|face| face.swap(0, 1));
+            assert_eq!(VoxelGrid::solid(&mesh), VoxelGrid::solid(&straight));
+        }
+    }
+
+    #[test]
+    fn overlapping_shells_stay_solid_where_they_overlap() {
+        let (left, right) = (sphere(DVec3::X * -0.2, 0.3, 40), sphere(DVec3::X * 0.2, 0.3, 40));
+        let grid = VoxelGrid::solid(&joined(&[left, right]));
+        assert!([-0.4, -0.2, 0.0, 0.2, 0.4].iter().all(|&x| grid.contains(DVec3::new(x, 0.01, 0.01))));
+        assert!(!grid.contains(DVec3::new(0.0, 0.25, 0.01)));
+    }
+
+    #[test]
+    fn open_tubes_and_spheres_with_holes_are_solid() {
+        let mut open = tube(DVec3::ZERO, 0.2, 1.0, 40, 10);
+        let share = filled(&open, 0.04 * std::f64::consts::PI);
+        assert!((share - 1.0).abs() < 0.03, "{share}");
+        open = sphere(DVec3::ZERO, 0.4, 40);
+        let enclosed = volume(&open);
+        open.triangles.retain(|face| open.positions[face[0] as usize].y < 0.3);
+        let share = filled(&open, enclosed);
+        assert!((0.9..1.02).contains(&share), "{share}");
+    }
+
+    #[test]
+    fn parts_thinner_than_a_cell_do_not_vanish() {
+        let rod = tube(DVec3::new(0.0, 0.0, 0.0), 0.004, 1.0, 12, 30);
+        let cells = VoxelGrid::solid(&rod).inside.iter().filter(|inside| **inside).count();
+        assert!(cells >= RESOLUTION, "{cells}");
+    }
+
+    #[test]
+    fn degenerate_shapes_give_a_grid() {
+        for mesh in degenerate() {
+            assert_eq!(VoxelGrid::solid(&mesh).inside.len(), CELLS);
+        }
+        let grid = VoxelGrid::solid(&sphere(DVec3::ZERO, 0.4, 20));
+        for outside in [DVec3::splat(0.41), DVec3::splat(-0.41), DVec3::splat(f64::NAN), DVec3::splat(1e300)] {
+            assert!(!grid.contains(outside));
+        }
+    }
+}

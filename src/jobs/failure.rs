@@ -2,6 +2,7 @@
 
 use super::stage::Stage;
 use crate::cancellation::Cancelled;
+use crate::formats::ExceededLimit;
 
 /// Why there is no rig. The message names the thing; the hint, the next step.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -13,11 +14,13 @@ pub struct JobError {
     pub message: String,
     /// Empty when there is no next step.
     pub hint: String,
+    /// The limit that was passed.
+    pub limit: Option<ExceededLimit>,
 }
 
 impl JobError {
     pub fn new(code: ErrorCode, message: impl Into<String>) -> Self {
-        Self { code, stage: None, message: message.into(), hint: String::new() }
+        Self { code, stage: None, message: message.into(), hint: String::new(), limit: None }
     }
 
     pub fn at(mut self, stage: Stage) -> Self {
@@ -102,6 +105,11 @@ impl ErrorCode {
         ErrorCode::Canceled,
         ErrorCode::Internal,
     ];
+
+    /// The code that is called `name`.
+    pub fn named(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|code| code.name() == name)
+    }
 
     pub fn name(self) -> &'static str {
         match self {

@@ -246,6 +246,12 @@ impl Ledger {
             .collect()
     }
 
+    /// Forgets every job, with all files.
+    pub fn clear(&mut self) {
+        self.drain();
+        self.records.clear();
+    }
+
     pub fn artifacts(&self, id: JobId) -> Option<Arc<Bundle>> {
         self.records.get(&id)?.artifacts.clone()
     }

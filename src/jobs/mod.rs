@@ -3,6 +3,7 @@
 //!
 //! 1. [`options`]  what a caller may ask for, checked field by field
 //! 2. [`perform`]  [`Rigger`]: request in, artifacts out; the command line and the workers call the same function
+//!    ([`Engine`] is the real one)
 //! 3. [`stage`]    where the work is, and how far that is
 //! 4. [`failure`]  why there is no rig, by who must act
 //! 5. [`upload`]   files while they arrive
@@ -11,16 +12,19 @@
 //!
 //! Behind the queue: `ledger` (all jobs, as plain data) and `worker` (threads). Durable jobs will replace these two.
 
+mod engine;
 pub mod failure;
 pub mod job;
 mod ledger;
 pub mod options;
 pub mod perform;
 pub mod queue;
+mod report;
 pub mod stage;
 pub mod upload;
 mod worker;
 
+pub use engine::{Engine, check_file};
 pub use failure::{ErrorClass, ErrorCode, JobError};
 pub use job::{ArtifactInfo, FileInfo, Job, JobId, JobRequest, JobResult, JobState};
 pub use ledger::Denied;

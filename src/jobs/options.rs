@@ -96,16 +96,6 @@ impl Words for Output {
     ];
 }
 
-/// `auto` is not an axis: it is the absence of one.
-const AXES: &[(&str, Axis)] = &[
-    ("+x", Axis::PosX),
-    ("-x", Axis::NegX),
-    ("+y", Axis::PosY),
-    ("-y", Axis::NegY),
-    ("+z", Axis::PosZ),
-    ("-z", Axis::NegZ),
-];
-
 impl Symmetry {
     pub fn name(self) -> &'static str {
         self.word()
@@ -122,11 +112,32 @@ impl Output {
     pub fn name(self) -> &'static str {
         self.word()
     }
+
+    /// The name of the artifact.
+    pub fn file_name(self) -> &'static str {
+        match self {
+            Self::Glb => "rigged.glb",
+            Self::Gltf => "rigged.gltf",
+            Self::RigJson => "rig.json",
+            Self::RignetTxt => "rignet.txt",
+            Self::PreviewPng => "preview.png",
+        }
+    }
+
+    pub fn media_type(self) -> &'static str {
+        match self {
+            Self::Glb => "model/gltf-binary",
+            Self::Gltf => "model/gltf+json",
+            Self::RigJson => "application/json",
+            Self::RignetTxt => "text/plain; charset=utf-8",
+            Self::PreviewPng => "image/png",
+        }
+    }
 }
 
 /// `+y` and the like; `auto` for `None`.
 pub fn axis_name(axis: Option<Axis>) -> &'static str {
-    AXES.iter().find(|(_, value)| Some(*value) == axis).map_or("auto", |(name, _)| *name)
+    axis.map_or("auto", Axis::name)
 }
 
 /// Why one field was refused.
@@ -320,9 +331,10 @@ fn axis(raw: Raw) -> Result<Option<Axis>, String> {
     }
     // In a query string `+` means a blank, so a bare letter is the positive axis.
     let signed = if name.starts_with(['+', '-']) { name.to_owned() } else { format!("+{name}") };
-    AXES.iter()
-        .find(|(known, _)| *known == signed)
-        .map(|(_, axis)| Some(*axis))
+    Axis::ALL
+        .into_iter()
+        .find(|axis| axis.name() == signed)
+        .map(Some)
         .ok_or_else(|| format!("{raw} is not one of auto, x, -x, y, -y, z, -z"))
 }
 

@@ -1,10 +1,10 @@
 //! The one call that does the work, for the command line and for the workers.
 
-use super::failure::JobError;
-use super::options::RigOptions;
+use super::failure::{ErrorCode, JobError};
+use super::options::{Output, RigOptions};
 use super::stage::Stage;
 use crate::cancellation::{Cancellation, Cancelled};
-use crate::formats::Finding;
+use crate::formats::{Finding, Siblings};
 use bytes::Bytes;
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -35,6 +35,26 @@ pub struct RigRequest {
     pub options: RigOptions,
 }
 
+impl RigRequest {
+    /// The file to rig and those sent with it.
+    pub fn split(&self) -> Result<(&NamedFile, SentAlong<'_>), JobError> {
+        let (main, others) = self
+            .files
+            .split_first()
+            .ok_or_else(|| JobError::new(ErrorCode::UnreadableMesh, "no file was sent").hint("send a mesh"))?;
+        Ok((main, SentAlong(others)))
+    }
+}
+
+/// The further files of an upload.
+pub struct SentAlong<'a>(&'a [NamedFile]);
+
+impl Siblings for SentAlong<'_> {
+    fn read(&self, name: &str) -> Option<Vec<u8>> {
+        self.0.iter().find(|file| file.name == name).map(|file| file.bytes.to_vec())
+    }
+}
+
 /// A file of an upload. `name` is relative, with `/` between folders, and leaves the upload by no path.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NamedFile {
@@ -47,11 +67,31 @@ pub struct NamedFile {
 pub struct Outcome {
     /// Distinct names.
     pub artifacts: Vec<Artifact>,
-    /// `skeleton`, `skin` and whatever else is worth saying; becomes the job's `result`.
+    /// `skeleton`, `skin` and whatever else is worth saying; becomes the job's `result`, beside its `artifacts`.
     pub report: serde_json::Map<String, serde_json::Value>,
     pub findings: Vec<Finding>,
     /// Name of the method that made the rig.
     pub method_used: String,
+}
+
+impl Outcome {
+    pub fn artifact(&self, output: Output) -> Option<&Artifact> {
+        self.artifacts.iter().find(|artifact| artifact.name == output.file_name())
+    }
+
+    pub fn joint_count(&self) -> u64 {
+        self.report.get("skeleton").and_then(|skeleton| skeleton.get("joints")?.as_u64()).unwrap_or(0)
+    }
+
+    /// The report with what differs from run to run: the time that each stage took, in milliseconds.
+    pub fn timed_report(&self, watch: &Watch) -> serde_json::Map<String, serde_json::Value> {
+        let mut report = self.report.clone();
+        let millis = |timing: &Timing| (timing.duration.as_micros() as f64 / 1000.0).into();
+        let timings: serde_json::Map<String, serde_json::Value> =
+            watch.timings().iter().map(|timing| (timing.stage.name().to_owned(), millis(timing))).collect();
+        report.insert("timings_ms".into(), timings.into());
+        report
+    }
 }
 
 /// A file that was made.

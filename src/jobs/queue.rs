@@ -229,8 +229,9 @@ impl Jobs {
         let Ok(permit) = core.checks.clone().try_acquire_owned() else {
             return Err(Refusal::QueueFull { waiting: core.ledger().waiting(), retry_after: Duration::from_secs(1) });
         };
+        let span = tracing::Span::current();
         let work = move || {
-            let _permit = permit;
+            let (_permit, _entered) = (permit, span.enter());
             let (files, upload) = received.into_parts();
             let request = RigRequest { files: load(&files, &upload).map_err(Refusal::Store)?, options };
             worker::guarded(|| core.rigger.check(&request, &Watch::new(Cancellation::default(), |_| {})))
@@ -303,6 +304,11 @@ impl Jobs {
     /// Asks running jobs to stop; they fail with `draining`.
     pub fn stop_running(&self) {
         self.core().ledger().stop_running(Stop::Draining, None);
+    }
+
+    /// Forgets every job and removes every file: nothing outlives the process yet.
+    pub fn clear(&self) {
+        self.core().ledger().clear();
     }
 }
 

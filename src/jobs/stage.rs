@@ -25,6 +25,20 @@ pub enum Stage {
     Validate,
 }
 
+impl From<crate::pipelines::Stage> for Stage {
+    fn from(stage: crate::pipelines::Stage) -> Self {
+        use crate::pipelines::Stage as Of;
+        match stage {
+            Of::Normalize => Self::Normalize,
+            Of::Geometry => Self::Geometry,
+            Of::Joints => Self::Joints,
+            Of::Connect => Self::Connect,
+            Of::Skin => Self::Skin,
+            Of::Transfer => Self::Transfer,
+        }
+    }
+}
+
 impl Stage {
     pub const ALL: [Stage; 10] = [
         Stage::Ingest,
@@ -53,6 +67,11 @@ impl Stage {
             Stage::Export => "export",
             Stage::Validate => "validate",
         }
+    }
+
+    /// The stage that is called `name`.
+    pub fn named(name: &str) -> Option<Self> {
+        Stage::ALL.into_iter().find(|stage| stage.name() == name)
     }
 
     /// The share of a job's time that this stage usually takes, in percent. The shares sum to 100.

@@ -13,9 +13,14 @@ use std::time::{Instant, SystemTime};
 
 /// Starts the workers and the sweeper. They leave when the ledger is closed.
 pub(super) fn start(core: &Arc<Core>) -> std::io::Result<()> {
+    // What the main thread of a program has, so that the command line and the service go equally deep.
+    const STACK_BYTES: usize = 8 << 20;
     for number in 0..core.settings.workers.max(1) {
         let core = core.clone();
-        std::thread::Builder::new().name(format!("worker-{number}")).spawn(move || work(&core))?;
+        std::thread::Builder::new()
+            .name(format!("worker-{number}"))
+            .stack_size(STACK_BYTES)
+            .spawn(move || work(&core))?;
     }
     let core = core.clone();
     std::thread::Builder::new().name("sweeper".to_owned()).spawn(move || sweep(&core))?;
@@ -93,7 +98,9 @@ fn storage_failed(error: &StoreError) -> JobError {
 
 /// Stores what was made.
 fn keep(core: &Core, outcome: Outcome) -> Result<(JobResult, Bundle), JobError> {
-    let Outcome { artifacts, report, findings, method_used } = outcome;
+    let Outcome { artifacts, mut report, findings, method_used } = outcome;
+    // The name belongs to the list of stored files.
+    report.remove("artifacts");
     let names: BTreeSet<&str> = artifacts.iter().map(|artifact| artifact.name.as_str()).collect();
     if names.len() != artifacts.len() || !names.iter().all(|name| plain(name)) {
         tracing::error!(?names, "artifact names are not distinct and plain");

@@ -8,6 +8,8 @@ use glam::DVec3;
 pub mod adjacency;
 pub mod face_orientation;
 pub mod normalize;
+#[cfg(test)]
+pub(crate) mod test_shapes;
 pub mod weld;
 pub mod working_mesh;
 

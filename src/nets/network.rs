@@ -117,13 +117,13 @@ impl Network {
 
     fn new_session(&self) -> Result<Session, NetError> {
         let builder = Session::builder(&self.runtime.environment).map_err(|error| self.failed(&error))?;
-        builder
+        let builder = builder
             .with_optimization_level(GraphOptimizationLevel::Level3)
-            .and_then(|builder| builder.with_deterministic_compute(true))
-            .and_then(|builder| builder.with_intra_op_spinning(false))
             .map_err(|error| self.failed(&error))?
-            .commit_from_memory(&self.model)
-            .map_err(|error| self.failed(&error))
+            .with_deterministic_compute(true)
+            .map_err(|error| self.failed(&error))?;
+        let mut builder = builder.with_intra_op_spinning(false).map_err(|error| self.failed(&error))?;
+        builder.commit_from_memory(&self.model).map_err(|error| self.failed(&error))
     }
 
     fn failed<R>(&self, error: &ort::Error<R>) -> NetError {

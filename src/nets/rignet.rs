@@ -114,6 +114,11 @@ impl RigNets {
 }
 
 impl ShapeGraph {
+    /// The same neighbours with the vertices elsewhere, `[V, 3]`.
+    pub fn moved(&self, positions: Array2<f32>) -> Self {
+        Self { positions, one_ring: self.one_ring.clone(), geodesic_ball: self.geodesic_ball.clone() }
+    }
+
     pub fn vertex_count(&self) -> usize {
         self.positions.len_of(Axis(0))
     }

@@ -1,5 +1,6 @@
 //! The published methods, one file each, composed from mesh, geometry, nets and rig.
 
+pub mod rignet;
 pub mod shape;
 pub mod survey;
 
@@ -7,8 +8,10 @@ pub use crate::geometry::orientation;
 
 use crate::cancellation::{Cancellation, Cancelled};
 use crate::mesh::Mesh;
-use crate::nets::NetError;
+pub use crate::nets::{LoadOptions, Models, NetError};
 use crate::rig::Rig;
+use crate::rig::detect_joints::DetectJointsError;
+pub use crate::rig::detect_joints::Fineness as LevelOfDetail;
 use glam::{DMat3, DVec3};
 
 /// A published way to make a rig.
@@ -69,15 +72,6 @@ pub enum Symmetry {
     /// About the best plane there is.
     On,
     Off,
-}
-
-/// How finely to place joints.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum LevelOfDetail {
-    /// 0 (few joints) to 1 (many); more detail never gives fewer joints.
-    Detail(f64),
-    /// The mean-shift bandwidth h of Eq. 6 itself, in the normalised frame.
-    Bandwidth(f64),
 }
 
 /// What the caller may choose.
@@ -179,6 +173,15 @@ impl From<NetError> for RigError {
     }
 }
 
+impl From<DetectJointsError> for RigError {
+    fn from(error: DetectJointsError) -> Self {
+        match error {
+            DetectJointsError::NotFound { tried } => Self::NoJointsFound { tried },
+            DetectJointsError::Cancelled(cancelled) => Self::Cancelled(cancelled),
+        }
+    }
+}
+
 impl RigError {
     /// The stable code of `user-expectations` for errors of a job.
     pub fn code(&self) -> &'static str {
@@ -201,5 +204,21 @@ impl RigError {
             Self::Net(error) => error.hint(),
             Self::Cancelled(_) => "",
         }
+    }
+}
+
+/// Rigs `subject` by the method that `options` name.
+pub fn rig(subject: Subject, models: &Models, options: &RigOptions, watch: Watch) -> Result<Rigged, RigError> {
+    let unavailable =
+        |reason: &str| RigError::MethodUnavailable { method: options.method.name(), reason: reason.to_owned() };
+    match options.method {
+        Method::RigNet => rignet::rig(subject, models.rignet().map_err(unavailable)?, options, watch),
+    }
+}
+
+/// Why `method` cannot run here; `None` when it can.
+pub fn unavailable(method: Method, models: &Models) -> Option<String> {
+    match method {
+        Method::RigNet => models.rignet().err().map(str::to_owned),
     }
 }

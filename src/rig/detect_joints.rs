@@ -17,10 +17,9 @@
 //! - The solid is not asked where it would throw away most of the attention: thin or open shapes have little inside.
 //! - Joints are listed from the top down; theirs follow the order of the vertices.
 
-use super::joint_clustering::{self, MeanShift, ModeRule, attention_density, mean_shift, scaled_attention};
 use super::joint_levels::{JointLevels, LEVELS};
-use super::non_maximum_suppression::survivors_by_density;
-use super::symmetrize::{MIDDLE_BAND, Side, SidedJoints, fold, symmetrize_joints, with_images};
+use super::modes::{Mode, PointCloud, joint_count};
+use super::symmetrize::{MIDDLE_BAND, Side, SidedJoints, symmetrize_joints};
 use crate::cancellation::{Cancellation, Cancelled};
 use crate::geometry::symmetry_plane::SymmetryPlane;
 use crate::geometry::voxel_grid::VoxelGrid;
@@ -34,16 +33,6 @@ pub const BANDWIDTH_DEFAULT: f64 = 0.05;
 /// Bandwidths that make sense in the normalised frame; others are brought into this range.
 pub const BANDWIDTH_RANGE: std::ops::RangeInclusive<f64> = 0.005..=0.5;
 
-/// Scaled attention at or below this says nothing (published value).
-const ATTENTION_MIN: f64 = 1e-3;
-/// Least share of the total attention that a mode gathers at the default bandwidth (validated: the published rule finds
-/// twice too many joints); it scales with the bandwidth.
-const MODE_SHARE: f64 = 0.01;
-/// Suppression radius in parts of the mean displacement around a mode, where that is above the bandwidth (validated).
-const SPREAD_FACTOR: f64 = 0.5;
-/// The solid is believed if at least this share of the attention is inside it.
-const INSIDE_ATTENTION_MIN: f64 = 0.5;
-
 /// What the networks say of one mesh.
 #[derive(Clone, Copy, Debug)]
 pub struct Evidence<'a> {
@@ -55,7 +44,7 @@ pub struct Evidence<'a> {
 /// How close together joints may be.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Fineness {
-    /// 0 (few joints) to 1 (many), in [`LEVELS`] steps; a higher value never gives fewer joints.
+    /// 0 (few joints) to 1 (many), in 20 steps; a higher value never gives fewer joints.
     Detail(f64),
     /// The bandwidth h of Eq. 6 itself.
     Bandwidth(f64),
@@ -134,95 +123,6 @@ pub fn detect_joints(
     Err(DetectJointsError::NotFound { tried: tried(evidence, &found) })
 }
 
-/// A place where points gathered, on the negative side of the plane or on it (anywhere without a plane).
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Mode {
-    pub position: DVec3,
-    /// Share of the total attention gathered here.
-    pub density: f64,
-    /// 2 for a mode that has a mirror image, else 1.
-    pub joint_count: usize,
-}
-
-pub(super) fn joint_count(modes: &[Mode]) -> usize {
-    modes.iter().map(|mode| mode.joint_count).sum()
-}
-
-/// The least share of attention that a mode of this bandwidth gathers.
-pub(super) fn mode_share(bandwidth: f64) -> f64 {
-    MODE_SHARE * bandwidth / BANDWIDTH_DEFAULT
-}
-
-/// Displaced points that say something, with their mirror images. `[M]`
-struct PointCloud<'a> {
-    points: Vec<DVec3>,
-    attention: Vec<f64>,
-    /// How far each point was moved by the network.
-    displacement: Vec<f64>,
-    plane: Option<&'a SymmetryPlane>,
-}
-
-impl<'a> PointCloud<'a> {
-    fn new(evidence: &Evidence, solid: Option<&VoxelGrid>, plane: Option<&'a SymmetryPlane>) -> Self {
-        let attention = scaled_attention(evidence.attention);
-        let says = |&v: &usize| attention[v] > ATTENTION_MIN && evidence.displaced[v].is_finite();
-        let speaking: Vec<usize> = (0..evidence.displaced.len()).filter(says).collect();
-        let inside: Vec<usize> = match solid {
-            Some(solid) => speaking.iter().copied().filter(|&v| solid.contains(evidence.displaced[v])).collect(),
-            None => speaking.clone(),
-        };
-        let total = |vertices: &[usize]| vertices.iter().map(|&v| attention[v]).sum::<f64>();
-        let kept = if total(&inside) >= INSIDE_ATTENTION_MIN * total(&speaking) { inside } else { speaking };
-        let points: Vec<DVec3> = kept.iter().map(|&v| evidence.displaced[v]).collect();
-        let twice = |values: Vec<f64>| if plane.is_some() { values.repeat(2) } else { values };
-        Self {
-            attention: twice(kept.iter().map(|&v| attention[v]).collect()),
-            displacement: twice(kept.iter().map(|&v| evidence.vertices[v].distance(evidence.displaced[v])).collect()),
-            points: plane.map_or_else(|| points.clone(), |plane| with_images(&points, plane)),
-            plane,
-        }
-    }
-
-    /// Modes at one bandwidth, densest first, farther apart than it; likewise from the images of others.
-    fn modes(&self, bandwidth: f64, share_factor: f64, cancellation: &Cancellation) -> Result<Vec<Mode>, Cancelled> {
-        let gathered = mean_shift(&self.points, &self.attention, &MeanShift::ours(bandwidth), cancellation)?;
-        let density = attention_density(&gathered, &self.attention, bandwidth);
-        let rule = ModeRule::ShareOfAttention(mode_share(bandwidth) * share_factor);
-        let dense = joint_clustering::dense_points(&density, &self.attention, rule);
-        let positions: Vec<DVec3> = dense.iter().map(|&point| gathered[point]).collect();
-        let (half, positions) = match self.plane {
-            Some(plane) => fold(&positions, plane, middle_band(bandwidth)),
-            None => ((0..positions.len()).collect(), positions),
-        };
-        let total: f64 = self.attention.iter().sum();
-        let density: Vec<f64> = half.iter().map(|&point| density[dense[point]] / total).collect();
-        let radius = |at: usize| {
-            let spread = self.mean_displacement(&gathered, gathered[dense[half[at]]], bandwidth);
-            bandwidth * (SPREAD_FACTOR * spread / BANDWIDTH_DEFAULT).max(1.0)
-        };
-        let modes = survivors_by_density(&positions, &density, radius).into_iter().map(|at| Mode {
-            position: positions[at],
-            density: density[at],
-            joint_count: self.plane.map_or(1, |plane| if plane.signed_distance(positions[at]) < -1e-9 { 2 } else { 1 }),
-        });
-        Ok(modes.collect())
-    }
-
-    /// How far the points gathered around `center` were moved by the network, weighted by attention.
-    fn mean_displacement(&self, gathered: &[DVec3], center: DVec3, bandwidth: f64) -> f64 {
-        let near = (0..gathered.len()).filter(|&point| gathered[point].distance(center) < bandwidth);
-        let (moved, attention) = near.fold((0.0, 0.0), |(moved, attention), point| {
-            (moved + self.attention[point] * self.displacement[point], attention + self.attention[point])
-        });
-        if attention > 0.0 { moved / attention } else { 0.0 }
-    }
-}
-
-/// Modes nearer to the plane than half a bandwidth are one joint with their image.
-fn middle_band(bandwidth: f64) -> f64 {
-    MIDDLE_BAND.max(0.5 * bandwidth)
-}
-
 fn within_range(bandwidth: f64) -> f64 {
     if bandwidth.is_nan() {
         BANDWIDTH_DEFAULT
@@ -277,4 +177,204 @@ fn tried(evidence: &Evidence, found: &[String]) -> String {
         evidence.displaced.len(),
         found.join(", "),
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::voxel_grid::RESOLUTION;
+    use proptest::prelude::*;
+
+    const X_ZERO: SymmetryPlane = SymmetryPlane { normal: DVec3::X, offset: 0.0, score: 1.0 };
+
+    /// Vertices around joints and where a fair network would put them.
+    #[derive(Clone)]
+    struct Figure {
+        vertices: Vec<DVec3>,
+        displaced: Vec<DVec3>,
+        attention: Vec<f64>,
+    }
+
+    impl Figure {
+        /// `per_joint` points scattered by up to 0.008 about every joint.
+        fn new(joints: &[DVec3], per_joint: usize) -> Self {
+            let count = joints.len() * per_joint;
+            // The golden ratio's multiples fill [0, 1) evenly and never repeat.
+            let scatter = |k: usize, step: f64| ((k + 1) as f64 * step).fract() - 0.5;
+            let offset = |k: usize| DVec3::new(scatter(k, 0.618034), scatter(k, 0.754878), scatter(k, 0.569840));
+            let joint = |k: usize| joints[k / per_joint];
+            Self {
+                vertices: (0..count).map(|k| joint(k) + 0.08 * offset(k).normalize_or_zero()).collect(),
+                displaced: (0..count).map(|k| joint(k) + 0.016 * offset(k)).collect(),
+                attention: (0..count).map(|k| 0.6 + 0.8 * scatter(k, 0.324718)).collect(),
+            }
+        }
+
+        fn evidence(&self) -> Evidence<'_> {
+            Evidence { vertices: &self.vertices, displaced: &self.displaced, attention: &self.attention }
+        }
+
+        fn joints(&self, plane: Option<&SymmetryPlane>, fineness: Fineness) -> DetectedJoints {
+            detect_joints(&self.evidence(), None, plane, fineness, &Cancellation::default()).expect("joints")
+        }
+
+        fn mapped(&self, map: impl Fn(DVec3) -> DVec3) -> Self {
+            let all = |points: &[DVec3]| points.iter().map(|&point| map(point)).collect();
+            Self { vertices: all(&self.vertices), displaced: all(&self.displaced), attention: self.attention.clone() }
+        }
+    }
+
+    /// A man of eleven joints: pelvis, chest, head, hands, elbows, knees, feet.
+    fn man() -> Vec<DVec3> {
+        let side = |x: f64| {
+            [(0.45, 0.75), (0.28, 0.75), (0.1, 0.27), (0.1, 0.03)].map(|(out, up)| DVec3::new(x * out, up, 0.01))
+        };
+        let middle = [0.5, 0.72, 0.92].map(|y| DVec3::Y * y);
+        [&middle[..], &side(-1.0), &side(1.0)].concat()
+    }
+
+    /// The greatest distance from a joint of one set to the nearest of the other, both ways.
+    fn apart(a: &[DVec3], b: &[DVec3]) -> f64 {
+        let nearest = |p: &DVec3, to: &[DVec3]| to.iter().map(|q| q.distance(*p)).fold(f64::INFINITY, f64::min);
+        a.iter().map(|p| nearest(p, b)).chain(b.iter().map(|p| nearest(p, a))).fold(0.0, f64::max)
+    }
+
+    #[test]
+    fn a_man_has_his_joints_with_and_without_a_plane() {
+        for plane in [Some(&X_ZERO), None] {
+            let found = Figure::new(&man(), 60).joints(plane, Fineness::Detail(0.5));
+            assert_eq!(found.positions.len(), man().len());
+            assert!(apart(&found.positions, &man()) < 0.005);
+            assert_eq!(found.failed_attempts, 0);
+        }
+    }
+
+    #[test]
+    fn with_a_plane_joints_are_exact_mirror_images_and_middle_ones_lie_on_it() {
+        let found = Figure::new(&man(), 60).joints(Some(&X_ZERO), Fineness::Detail(0.5));
+        let sides = found.sides.expect("a plane was given");
+        let twins = super::super::symmetrize::twins(&sides);
+        for (joint, &twin) in twins.iter().enumerate() {
+            assert_eq!(found.positions[twin], X_ZERO.reflect(found.positions[joint]));
+            assert_eq!(twin == joint, sides[joint] == Side::Middle);
+        }
+    }
+
+    #[test]
+    fn joints_beside_the_plane_become_one_and_none_is_lost() {
+        for x in [0.0, 0.012, 0.019, 0.021, 0.024, 0.026, 0.035] {
+            let found =
+                Figure::new(&[DVec3::Y, DVec3::X * x, DVec3::X * -x], 60).joints(Some(&X_ZERO), Fineness::Detail(0.5));
+            assert!([2, 3].contains(&found.positions.len()), "at {x}: {:?}", found.positions);
+            for (at, joint) in found.positions.iter().enumerate() {
+                assert!(found.positions[at + 1..].iter().all(|other| other.distance(*joint) > 0.025), "at {x}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_order_of_vertices_changes_no_bit() {
+        let figure = Figure::new(&man(), 40);
+        let mut reversed = figure.clone();
+        reversed.vertices.reverse();
+        reversed.displaced.reverse();
+        reversed.attention.reverse();
+        for plane in [Some(&X_ZERO), None] {
+            assert_eq!(
+                figure.joints(plane, Fineness::Detail(0.7)).positions,
+                reversed.joints(plane, Fineness::Detail(0.7)).positions
+            );
+        }
+    }
+
+    #[test]
+    fn moving_and_mirroring_the_evidence_moves_and_mirrors_the_joints() {
+        let figure = Figure::new(&man(), 40);
+        let joints = figure.joints(Some(&X_ZERO), Fineness::Detail(0.5)).positions;
+        let shift = DVec3::new(0.3, -0.1, 0.7);
+        let beside = SymmetryPlane { offset: 0.3, ..X_ZERO };
+        let moved = figure.mapped(|p| p + shift).joints(Some(&beside), Fineness::Detail(0.5)).positions;
+        assert!(apart(&moved, &joints.iter().map(|&joint| joint + shift).collect::<Vec<_>>()) < 1e-6);
+        let mirrored = figure.mapped(|p| X_ZERO.reflect(p)).joints(Some(&X_ZERO), Fineness::Detail(0.5)).positions;
+        assert!(apart(&mirrored, &joints) < 1e-6);
+    }
+
+    #[test]
+    fn points_at_one_place_are_refused_and_the_message_says_what_was_tried() {
+        let figure = Figure::new(&[DVec3::ONE], 30).mapped(|_| DVec3::ONE);
+        let found = detect_joints(&figure.evidence(), None, None, Fineness::Detail(0.5), &Cancellation::default());
+        let message = found.expect_err("one joint is no skeleton").to_string();
+        assert!(message.contains("30 displaced points") && message.contains("1 at bandwidth 0.0025"), "{message}");
+    }
+
+    #[test]
+    fn two_close_joints_are_found_by_loosening_the_rules() {
+        let found = Figure::new(&[DVec3::ONE, DVec3::ONE + DVec3::Y * 0.03], 30).joints(None, Fineness::Bandwidth(0.2));
+        assert!(found.failed_attempts > 0);
+        assert!(found.positions.len() >= JOINTS_MIN);
+    }
+
+    #[test]
+    fn nothing_and_nonsense_are_refused_without_panic() {
+        let nothing = Evidence { vertices: &[], displaced: &[], attention: &[] };
+        let nan = [DVec3::NAN; 3];
+        let nonsense = Evidence { vertices: &nan, displaced: &nan, attention: &[f64::NAN, 1.0, 0.5] };
+        for evidence in [nothing, nonsense] {
+            for fineness in [Fineness::Detail(f64::NAN), Fineness::Bandwidth(f64::INFINITY), Fineness::Bandwidth(-1.0)]
+            {
+                let found = detect_joints(&evidence, None, Some(&X_ZERO), fineness, &Cancellation::default());
+                assert!(matches!(found, Err(DetectJointsError::NotFound { .. })));
+            }
+        }
+    }
+
+    #[test]
+    fn a_solid_that_holds_almost_nothing_is_not_believed() {
+        let figure = Figure::new(&man(), 40);
+        let empty =
+            VoxelGrid { origin: DVec3::new(-0.5, 0.0, -0.5), side: 1.0, inside: vec![false; RESOLUTION.pow(3)] };
+        let plain = figure.joints(None, Fineness::Detail(0.5));
+        let with = |solid| {
+            detect_joints(&figure.evidence(), Some(solid), None, Fineness::Detail(0.5), &Cancellation::default())
+        };
+        assert_eq!(with(&empty), Ok(plain.clone()));
+        let mut headless = VoxelGrid { inside: vec![true; RESOLUTION.pow(3)], ..empty };
+        for cell in 0..headless.inside.len() {
+            headless.inside[cell] = cell / RESOLUTION % RESOLUTION < 75;
+        }
+        assert_eq!(with(&headless).expect("joints").positions.len(), plain.positions.len() - 1);
+    }
+
+    fn places(count: std::ops::Range<usize>) -> impl Strategy<Value = Vec<DVec3>> {
+        let place = (-1.0..1.0f64, 0.0..1.0f64, -1.0..1.0f64).prop_map(|(x, y, z)| DVec3::new(0.5 * x, y, 0.1 * z));
+        prop::collection::vec(place, count)
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig { cases: 24, ..ProptestConfig::default() })]
+
+        #[test]
+        fn more_detail_never_gives_fewer_joints(joints in places(2..60), symmetric in any::<bool>()) {
+            let figure = Figure::new(&joints, 9);
+            let plane = symmetric.then_some(&X_ZERO);
+            let mut before = 0;
+            for level in 0..=LEVELS {
+                let count = figure.joints(plane, Fineness::Detail(level as f64 / LEVELS as f64)).positions.len();
+                prop_assert!(count >= before, "level {}: {}, before {}", level, count, before);
+                before = count;
+            }
+        }
+
+        #[test]
+        fn there_are_two_to_a_hundred_joints_and_none_coincide(
+            joints in places(2..400), h in 0.001..0.8f64, symmetric in any::<bool>(),
+        ) {
+            let found = Figure::new(&joints, 2).joints(symmetric.then_some(&X_ZERO), Fineness::Bandwidth(h));
+            prop_assert!((JOINTS_MIN..=JOINTS_MAX).contains(&found.positions.len()));
+            for (at, joint) in found.positions.iter().enumerate() {
+                let nearest = found.positions[at + 1..].iter().map(|other| other.distance(*joint));
+                prop_assert!(nearest.fold(f64::INFINITY, f64::min) > found.bandwidth.min(2.0 * MIDDLE_BAND) - 1e-9);
+            }
+        }
+    }
 }

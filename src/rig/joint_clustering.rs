@@ -13,6 +13,8 @@
 //! - All points move together and the kernel is recomputed from moved points (the published code does so too); the paper
 //!   moves each point among fixed ones.
 //! - The loop is bounded by [`MeanShift::iterations_max`]; the paper iterates until convergence.
+//! - [`MeanShift::ours`] has no floor in the denominator: the published one pulls points of little attention toward the origin
+//!   (with small bandwidths by percents).
 //! - [`MeanShift::ours`] takes ten long steps instead of up to 39 short ones, and no step depends on how many points there
 //!   are (the published stop rule is a norm over all points, so larger meshes iterate longer).
 
@@ -32,22 +34,21 @@ pub struct MeanShift {
     pub iterations_max: usize,
     /// Stop once the Frobenius norm of a whole update is at most this.
     pub update_norm_min: f64,
+    /// Added to the denominator of Eq. 6.
+    pub mass_floor: f64,
 }
 
 impl MeanShift {
     /// The published code's rule in interactive use.
     pub const fn published(bandwidth: f64) -> Self {
-        Self { bandwidth, step: 0.3, iterations_max: 39, update_norm_min: 1e-3 }
+        Self { bandwidth, step: 0.3, iterations_max: 39, update_norm_min: 1e-3, mass_floor: 1e-10 }
     }
 
-    /// Ten steps of 0.9, as our networks are calibrated with (validation set, same modes as the published rule).
+    /// Ten steps of 0.9, the rule that mode shares and bandwidth were calibrated with.
     pub const fn ours(bandwidth: f64) -> Self {
-        Self { bandwidth, step: 0.9, iterations_max: 10, update_norm_min: 0.0 }
+        Self { bandwidth, step: 0.9, iterations_max: 10, update_norm_min: 0.0, mass_floor: 0.0 }
     }
 }
-
-/// Keeps the sum of no attention at all from dividing by zero (published value).
-const MASS_FLOOR: f64 = 1e-10;
 
 /// Moves every point along its mean-shift vector until the rule says stop.
 pub fn mean_shift(
@@ -61,7 +62,7 @@ pub fn mean_shift(
     let attention: Vec<f64> = order.iter().map(|&index| attention[index as usize]).collect();
     for _ in 0..rule.iterations_max {
         cancellation.check()?;
-        let next = mean_shift_step(&moved, &attention, rule.bandwidth, rule.step);
+        let next = mean_shift_step(&moved, &attention, rule);
         let squared: f64 = next.iter().zip(&moved).map(|(after, before)| after.distance_squared(*before)).sum();
         moved = next;
         if squared.sqrt() <= rule.update_norm_min {
@@ -76,11 +77,11 @@ pub fn mean_shift(
 /// ```text
 /// m_v = Σ_u a_u K(q_u − q_v) q_u / Σ_u a_u K(q_u − q_v) − q_v      K(x) = max(h² − ‖x‖², 0)      q_v ← q_v + step · m_v
 /// ```
-/// A point whose neighbourhood holds no attention stays where it is (the published floor would pull it to the origin).
-fn mean_shift_step(points: &[DVec3], attention: &[f64], bandwidth: f64, step: f64) -> Vec<DVec3> {
-    let sums = kernel_sums(points, attention, bandwidth);
+/// A point whose neighbourhood holds no attention stays where it is.
+fn mean_shift_step(points: &[DVec3], attention: &[f64], rule: &MeanShift) -> Vec<DVec3> {
+    let sums = kernel_sums(points, attention, rule.bandwidth);
     let moved = points.par_iter().zip(sums).map(|(&point, sum)| {
-        if sum.mass > 0.0 { point + step * (sum.moment / (sum.mass + MASS_FLOOR) - point) } else { point }
+        if sum.mass > 0.0 { point + rule.step * (sum.moment / (sum.mass + rule.mass_floor) - point) } else { point }
     });
     moved.collect()
 }
@@ -156,4 +157,96 @@ fn in_original_order<T: Copy + Default>(order: &[u32], values: &[T]) -> Vec<T> {
         original[index as usize] = value;
     }
     original
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const H: f64 = 0.1;
+
+    fn shifted(points: &[DVec3], attention: &[f64], rule: &MeanShift) -> Vec<DVec3> {
+        mean_shift(points, attention, rule, &Cancellation::default()).expect("not cancelled")
+    }
+
+    /// Points in the unit cube and their attention.
+    fn cloud() -> impl Strategy<Value = (Vec<DVec3>, Vec<f64>)> {
+        let point = (0.0..1.0f64, 0.0..1.0f64, 0.0..1.0f64, 0.05..1.0f64);
+        prop::collection::vec(point, 1..80).prop_map(|raw| {
+            let points = raw.iter().map(|&(x, y, z, _)| 0.4 * DVec3::new(x, y, z)).collect();
+            (points, raw.iter().map(|raw| raw.3).collect())
+        })
+    }
+
+    fn farthest(a: &[DVec3], b: &[DVec3]) -> f64 {
+        a.iter().zip(b).map(|(a, b)| a.distance(*b)).fold(0.0, f64::max)
+    }
+
+    #[test]
+    fn two_heaps_gather_at_their_weighted_means() {
+        let points = [0.0, 0.02, 1.0, 1.03].map(|x| DVec3::X * x);
+        let moved = shifted(&points, &[1.0, 1.0, 1.0, 0.0], &MeanShift::ours(H));
+        assert!(farthest(&moved, &[0.01, 0.01, 1.0, 1.0].map(|x| DVec3::X * x)) < 1e-6, "{moved:?}");
+    }
+
+    #[test]
+    fn a_point_that_no_attention_reaches_stays() {
+        let points = [DVec3::ONE, DVec3::ZERO];
+        assert_eq!(shifted(&points, &[0.0, 1.0], &MeanShift::published(H))[0], DVec3::ONE);
+    }
+
+    #[test]
+    fn cancelled_work_stops() {
+        let cancellation = Cancellation::default();
+        cancellation.cancel();
+        assert_eq!(mean_shift(&[DVec3::ZERO], &[1.0], &MeanShift::ours(H), &cancellation), Err(Cancelled));
+    }
+
+    #[test]
+    fn no_points_are_no_trouble() {
+        assert!(shifted(&[], &[], &MeanShift::ours(H)).is_empty());
+        assert!(dense_points(&[], &[], ModeRule::ShareOfAttention(0.01)).is_empty());
+    }
+
+    #[test]
+    fn scaled_attention_spans_zero_to_one() {
+        assert_eq!(scaled_attention(&[0.25, 0.75, 0.5]), [0.0, 1.0, 0.5]);
+        assert_eq!(scaled_attention(&[0.3, 0.3]), [1.0, 1.0]);
+    }
+
+    #[test]
+    fn the_attention_density_of_a_heap_is_its_attention() {
+        let points = [DVec3::ONE, DVec3::ONE, DVec3::ZERO];
+        let density = attention_density(&points, &[0.5, 1.0, 0.25], H);
+        assert!(density.iter().zip([1.5, 1.5, 0.25]).all(|(a, b)| (a - b).abs() < 1e-12));
+        assert_eq!(dense_points(&density, &[0.5, 1.0, 0.25], ModeRule::ShareOfAttention(0.5)), [0, 1]);
+    }
+
+    proptest! {
+        #[test]
+        fn listing_the_points_backward_changes_no_bit((points, attention) in cloud()) {
+            let mut forward = shifted(&points, &attention, &MeanShift::ours(H));
+            let backward = |values: &[f64]| values.iter().rev().copied().collect::<Vec<f64>>();
+            let reversed: Vec<DVec3> = points.iter().rev().copied().collect();
+            forward.reverse();
+            prop_assert_eq!(forward, shifted(&reversed, &backward(&attention), &MeanShift::ours(H)));
+            let density = attention_density(&points, &attention, H);
+            prop_assert_eq!(backward(&density), attention_density(&reversed, &backward(&attention), H));
+        }
+
+        #[test]
+        fn translating_scaling_with_the_bandwidth_and_mirroring_commute_with_mean_shift((points, attention) in cloud()) {
+            let rule = MeanShift { iterations_max: 4, ..MeanShift::ours(H) };
+            let moved = shifted(&points, &attention, &rule);
+            let maps: [&dyn Fn(DVec3) -> DVec3; 3] =
+                [&|p| p + DVec3::new(3.1, -0.7, 0.05), &|p| p * 2.5, &|p| p * DVec3::new(-1.0, 1.0, 1.0)];
+            for (map, scale) in maps.iter().zip([1.0, 2.5, 1.0]) {
+                let rule = MeanShift { bandwidth: H * scale, ..rule };
+                let mapped: Vec<DVec3> = points.iter().map(|&point| map(point)).collect();
+                let expected: Vec<DVec3> = moved.iter().map(|&point| map(point)).collect();
+                prop_assert!(farthest(&shifted(&mapped, &attention, &rule), &expected) < 1e-9 * scale);
+            }
+        }
+    }
 }

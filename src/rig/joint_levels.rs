@@ -15,7 +15,8 @@
 //! Two joints of one level are farther apart than h/2: modes of h are more than h apart, modes of h/2 more than h/2, and a
 //! part of one mode is more than h/2 away from every other mode, being nearer to its own.
 
-use super::detect_joints::{JOINTS_MAX, JOINTS_MIN, Mode, joint_count, mode_share};
+use super::detect_joints::{JOINTS_MAX, JOINTS_MIN};
+use super::modes::{Mode, joint_count, mode_share};
 use crate::cancellation::Cancelled;
 
 /// The highest level of detail; the lowest is 0.
@@ -115,4 +116,63 @@ fn parts_of(coarse: &[Ranked], fine: &[Ranked]) -> Vec<Vec<Ranked>> {
         }
     }
     parts
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rig::non_maximum_suppression::survivors_by_density;
+    use glam::DVec3;
+    use proptest::prelude::*;
+
+    /// Modes of a bandwidth as suppression leaves them.
+    fn thinned(points: &[(DVec3, f64, bool)], bandwidth: f64) -> Vec<Mode> {
+        let positions: Vec<DVec3> = points.iter().map(|point| point.0).collect();
+        let density: Vec<f64> = points.iter().map(|point| point.1).collect();
+        let kept = survivors_by_density(&positions, &density, |_| bandwidth).into_iter();
+        let mode = |at: usize| Mode {
+            position: positions[at],
+            density: density[at],
+            joint_count: if points[at].2 { 2 } else { 1 },
+        };
+        kept.map(mode).filter(|mode| mode.density >= mode_share(bandwidth)).collect()
+    }
+
+    fn points(count: std::ops::Range<usize>) -> impl Strategy<Value = Vec<(DVec3, f64, bool)>> {
+        let point = (0.0..1.0f64, 0.0..1.0f64, 0.0..0.05f64, any::<bool>());
+        let place = |(x, y, density, side)| (DVec3::new(0.3 * x, 0.3 * y, 0.0), density, side);
+        prop::collection::vec(point.prop_map(place), count)
+    }
+
+    #[test]
+    fn a_pair_that_the_middle_level_sees_as_one_is_resolved_by_more_detail() {
+        let between = Mode { position: DVec3::ZERO, density: 0.5, joint_count: 2 };
+        let apart = |x: f64| Mode { position: DVec3::X * x, density: 0.25, joint_count: 2 };
+        let far = Mode { position: DVec3::Y, density: 0.1, joint_count: 1 };
+        let modes_at = |h: f64| Ok(if h > 0.04 { vec![between, far] } else { vec![apart(-0.018), apart(0.018), far] });
+        let mut levels = JointLevels::new(0.05, 1.0, modes_at).expect("not cancelled");
+        assert_eq!(levels.at(MIDDLE_LEVEL), Ok((vec![between, far], 0.05)));
+        assert_eq!(levels.at(LEVELS).expect("not cancelled").0, [apart(-0.018), apart(0.018), far]);
+    }
+
+    proptest! {
+        #[test]
+        fn more_detail_never_gives_fewer_joints_and_joints_stay_apart(
+            coarse in points(1..40), fine in points(1..200), share_factor in 0.0..1.5f64,
+        ) {
+            let modes_at = |h: f64| Ok(thinned(if h > 0.04 { &coarse } else { &fine }, h));
+            let mut levels = JointLevels::new(0.05, share_factor, modes_at).expect("not cancelled");
+            let mut before = 0;
+            for level in 0..=LEVELS {
+                let (modes, _) = levels.at(level).expect("not cancelled");
+                let count = joint_count(&modes).min(JOINTS_MAX);
+                prop_assert!(count >= before, "level {} has {}, the one before {}", level, count, before);
+                before = count;
+                for (at, mode) in modes.iter().enumerate() {
+                    let apart = |other: &Mode| other.position.distance(mode.position) > 0.025 - 1e-12;
+                    prop_assert!(modes[at + 1..].iter().all(apart));
+                }
+            }
+        }
+    }
 }

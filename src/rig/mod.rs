@@ -17,6 +17,7 @@ pub mod forward_kinematics;
 pub mod joint_clustering;
 mod joint_levels;
 pub mod linear_blend_skinning;
+mod modes;
 pub mod non_maximum_suppression;
 pub mod quality;
 pub mod skeleton;

@@ -42,6 +42,15 @@ impl Skeleton {
         Self { joints: joints.collect() }
     }
 
+    /// Joints on the longest way from the root to a leaf; 0 without joints.
+    pub fn depth(&self) -> usize {
+        let mut depths: Vec<usize> = Vec::with_capacity(self.joints.len());
+        for joint in &self.joints {
+            depths.push(joint.parent.and_then(|parent| depths.get(parent)).map_or(1, |depth| depth + 1));
+        }
+        depths.into_iter().max().unwrap_or(0)
+    }
+
     pub fn positions(&self) -> Vec<DVec3> {
         self.joints.iter().map(|joint| joint.position).collect()
     }

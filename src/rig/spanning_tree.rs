@@ -52,8 +52,8 @@ impl BoneCosts {
     pub fn from_probabilities(joint_count: usize, pairs: &[[usize; 2]], probability: &[f64]) -> Self {
         let mut costs = Self { joint_count, costs: vec![COST_MAX; joint_count * joint_count] };
         for (&[a, b], &p) in pairs.iter().zip(probability) {
-            // NaN would survive `clamp`; `max` and `min` drop it.
-            costs.set(a, b, (-(p + PROBABILITY_FLOOR).ln()).max(COST_MIN).min(COST_MAX));
+            let cost = -(p + PROBABILITY_FLOOR).ln();
+            costs.set(a, b, if cost.is_nan() { COST_MAX } else { cost.clamp(COST_MIN, COST_MAX) });
         }
         costs
     }
@@ -218,6 +218,12 @@ mod tests {
         let costs = BoneCosts::from_probabilities(3, &[[0, 1], [0, 2], [1, 2]], &[1.0, 0.4, 0.5]);
         assert_eq!(costs.between(0, 1), COST_MIN);
         assert_eq!(minimum_spanning_tree(&costs, 0).parents, [None, Some(0), Some(1)]);
+    }
+
+    #[test]
+    fn a_probability_that_is_no_number_is_no_recommendation() {
+        let costs = BoneCosts::from_probabilities(2, &[[0, 1]], &[f64::NAN]);
+        assert_eq!(costs.between(0, 1), COST_MAX);
     }
 
     #[test]

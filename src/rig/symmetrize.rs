@@ -103,3 +103,45 @@ pub fn twins(sides: &[Side]) -> Vec<usize> {
     }
     twin
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A slanted plane beside the origin.
+    fn plane() -> SymmetryPlane {
+        SymmetryPlane { normal: DVec3::new(0.6, 0.0, 0.8), offset: 0.1, score: 1.0 }
+    }
+
+    /// A point at a signed distance from the plane.
+    fn at(distance: f64, height: f64) -> DVec3 {
+        plane().normal * (plane().offset + distance) + DVec3::Y * height
+    }
+
+    #[test]
+    fn the_negative_side_is_mirrored_and_the_middle_moves_onto_the_plane() {
+        let joints = [at(0.2, 0.9), at(-0.01, 0.5), at(-0.3, 0.2), at(-0.4, 0.1)];
+        let sided = symmetrize_joints(&joints, &plane(), MIDDLE_BAND);
+        let expected = [joints[2], joints[3], at(0.0, 0.5), at(0.3, 0.2), at(0.4, 0.1)];
+        assert!(sided.positions.iter().zip(expected).all(|(a, b)| a.distance(b) < 1e-12), "{sided:?}");
+        use Side::{Middle, Negative, Positive};
+        assert_eq!(sided.sides, [Negative, Negative, Middle, Positive, Positive]);
+        assert_eq!(twins(&sided.sides), [3, 4, 2, 0, 1]);
+    }
+
+    #[test]
+    fn symmetrizing_twice_changes_nothing() {
+        let once = symmetrize_joints(&[at(-0.3, 0.2), at(0.015, 0.7), at(-0.021, 0.4)], &plane(), MIDDLE_BAND);
+        let twice = symmetrize_joints(&once.positions, &plane(), MIDDLE_BAND);
+        assert_eq!(once.sides, twice.sides);
+        assert!(once.positions.iter().zip(&twice.positions).all(|(a, b)| a.distance(*b) < 1e-12));
+    }
+
+    #[test]
+    fn folding_keeps_one_half_and_the_middle() {
+        let (kept, positions) = fold(&[at(0.2, 0.0), at(0.01, 0.0), at(-0.2, 0.0)], &plane(), MIDDLE_BAND);
+        assert_eq!(kept, [1, 2]);
+        assert!(positions[0].distance(at(0.0, 0.0)) < 1e-12);
+        assert_eq!(positions[1], at(-0.2, 0.0));
+    }
+}

@@ -28,6 +28,8 @@ pub struct Limits {
     pub uploads_max: usize,
     /// Longest pause while an upload arrives.
     pub upload_pause_max: Duration,
+    /// Longest time that one upload may take, however steadily it trickles.
+    pub upload_time_max: Duration,
     /// Time that running jobs get when the service is asked to stop.
     pub grace: Duration,
 }
@@ -38,6 +40,7 @@ impl Default for Limits {
             upload_bytes_max: 100 * 1024 * 1024,
             uploads_max: 32,
             upload_pause_max: Duration::from_secs(30),
+            upload_time_max: Duration::from_secs(900),
             grace: Duration::from_secs(30),
         }
     }

@@ -49,12 +49,14 @@ pub async fn serve(
         upload_bytes_max: config.upload_mib.saturating_mul(MIB),
         uploads_max: config.uploads,
         upload_pause_max: Duration::from_secs(config.upload_pause_seconds),
+        upload_time_max: Duration::from_secs(config.upload_seconds),
         grace: Duration::from_secs(config.grace_seconds),
     };
     let jobs = Jobs::start(rigger, store, settings)?;
     listening(listener.local_addr()?);
-    run(listener, stop_signal(), App::new(jobs, limits)).await?;
-    Ok(())
+    let ended = run(listener, stop_signal(), App::new(jobs.clone(), limits)).await;
+    jobs.clear();
+    Ok(ended?)
 }
 
 /// Serves on `listener` until `shutdown` resolves, then stops in order: no new jobs and not ready, while callers can

@@ -85,7 +85,9 @@ fn modules_import_only_what_the_table_allows() {
 fn only_nets_names_the_network_runtime() {
     for path in sources(&src()).iter().filter(|path| room(path) != "nets") {
         for line in code(path) {
-            assert!(!line.contains("ort::"), "{}: {line}", path.display());
+            // `report::` ends like it, but is another word.
+            let named = line.match_indices("ort::").any(|(at, _)| !line[..at].ends_with(char::is_alphanumeric));
+            assert!(!named, "{}: {line}", path.display());
         }
     }
 }

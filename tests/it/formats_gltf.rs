@@ -1,1 +1,10 @@
+//! glTF in and out: the file that was sent, plus a skin.
 
+mod existing_rigs;
+mod fixtures;
+mod reading;
+mod refusals;
+mod rig_files;
+mod skins;
+mod transforms;
+mod unchanged;

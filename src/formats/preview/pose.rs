@@ -3,8 +3,7 @@
 //!
 //! All positions are in the character's own axes: x to its left, y up, z to its front.
 
-use super::Figure;
-use crate::rig::{Rig, Skeleton};
+use crate::rig::Skeleton;
 use glam::{DQuat, DVec3};
 use std::collections::BTreeMap;
 
@@ -128,44 +127,11 @@ fn curl(rotations: &mut [DQuat], joints: &[DVec3], skeleton: &Skeleton) {
     }
 }
 
-/// The figure with its joints turned by `rotations` and its vertices carried by linear blend skinning.
-pub fn posed(rest: &Figure, rig: &Rig, rotations: &[DQuat]) -> Figure {
-    let mut turns: Vec<DQuat> = Vec::with_capacity(rest.joints.len());
-    let mut joints: Vec<DVec3> = Vec::with_capacity(rest.joints.len());
-    for (index, joint) in rig.skeleton.joints.iter().enumerate() {
-        let (turn, place) = match joint.parent {
-            Some(parent) => {
-                (turns[parent], joints[parent] + turns[parent] * (rest.joints[index] - rest.joints[parent]))
-            }
-            None => (DQuat::IDENTITY, rest.joints[index]),
-        };
-        turns.push(turn * rotations[index]);
-        joints.push(place);
-    }
-    let positions = rest
-        .positions
-        .iter()
-        .enumerate()
-        .map(|(vertex, &position)| {
-            let row = rig.skin.rows.get(vertex).map_or(&[][..], Vec::as_slice);
-            let (sum, total) = row.iter().filter(|influence| (influence.joint as usize) < joints.len()).fold(
-                (DVec3::ZERO, 0.0),
-                |(sum, total), influence| {
-                    let joint = influence.joint as usize;
-                    let weight = f64::from(influence.weight);
-                    (sum + weight * (joints[joint] + turns[joint] * (position - rest.joints[joint])), total + weight)
-                },
-            );
-            if total > 0.0 { sum / total } else { position }
-        })
-        .collect();
-    Figure { positions, joints }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::rig::Joint;
+    use crate::rig::forward_kinematics::joint_transforms;
 
     fn skeleton(joints: &[(Option<usize>, [f64; 3])]) -> (Vec<DVec3>, Skeleton) {
         let joint = |(index, &(parent, position)): (usize, &(Option<usize>, [f64; 3]))| Joint {
@@ -180,8 +146,7 @@ mod tests {
     /// Where the pose takes the joints.
     fn posed_joints(joints: &[DVec3], skeleton: Skeleton) -> Vec<DVec3> {
         let rotations = telling_pose(joints, &skeleton);
-        let rest = Figure { positions: Vec::new(), joints: joints.to_vec() };
-        posed(&rest, &Rig { skeleton, ..Rig::default() }, &rotations).joints
+        joint_transforms(&skeleton, &rotations).iter().map(|transform| transform.translation).collect()
     }
 
     #[test]

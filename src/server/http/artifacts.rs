@@ -56,7 +56,7 @@ pub async fn list_artifacts(
     get, path = "/v1/rigs/{id}/artifacts/{name}", tag = "artifacts",
     params(
         ("id" = String, Path, description = "Id of the rig", example = "rig_01jdf5fj63fh5ra1njpy75fmyg"),
-        ("name" = String, Path, description = "Name of the file, as listed", example = "hero.rigged.glb"),
+        ("name" = String, Path, description = "Name of the file, as listed", example = "rigged.glb"),
         ("Range" = Option<String>, Header, description = "One range of bytes", example = "bytes=0-1023"),
         ("If-Range" = Option<String>, Header, description = "Send the range only if this is still the `ETag`"),
         ("If-None-Match" = Option<String>, Header, description = "Answer 304 if this is still the `ETag`"),
@@ -77,7 +77,7 @@ pub async fn list_artifacts(
         (status = 410, description = "`expired`", body = ProblemView, content_type = "application/problem+json"),
         (status = 416, description = "`range_not_satisfiable`", body = ProblemView, content_type = "application/problem+json"),
     ),
-    extensions(("x-curl" = json!("curl -OJ $HOST/v1/rigs/$ID/artifacts/upload.rigged.glb"))),
+    extensions(("x-curl" = json!("curl -OJ $HOST/v1/rigs/$ID/artifacts/rigged.glb"))),
 )]
 pub async fn get_artifact(
     State(app): State<App>,

@@ -3,6 +3,7 @@
 //! An [`ApiError`] travels in the extensions of an empty response; [`super::outermost`] writes the body, since it
 //! knows the request.
 
+use crate::formats::ExceededLimit;
 use crate::jobs::{Denied, ErrorCode, FieldError, FieldProblem, JobError, Refusal};
 use crate::storage::StoreError;
 use axum::http::{HeaderName, HeaderValue, StatusCode, header};
@@ -79,7 +80,7 @@ impl Code {
             Code::Expired => ("expired", Status::GONE, "Results expired", "The job succeeded, but its files are no longer kept."),
             Code::MethodNotAllowed => ("method_not_allowed", Status::METHOD_NOT_ALLOWED, "Method not allowed", "The path exists, but not for this HTTP method; Allow names those that do."),
             Code::NotAcceptable => ("not_acceptable", Status::NOT_ACCEPTABLE, "Not acceptable", "The Accept header leaves no form in which the answer can be given."),
-            Code::UploadTimeout => ("upload_timeout", Status::REQUEST_TIMEOUT, "The upload stalled", "No byte of the body arrived for too long. Nothing was kept."),
+            Code::UploadTimeout => ("upload_timeout", Status::REQUEST_TIMEOUT, "The upload stalled", "No byte of the body arrived for too long, or the whole took too long. Nothing was kept."),
             Code::Conflict => ("conflict", Status::CONFLICT, "Not in this state", "The job is in a state that does not allow this."),
             Code::NotCancelable => ("not_cancelable", Status::CONFLICT, "The job is over", "Only jobs that wait or run can be canceled."),
             Code::RangeNotSatisfiable => ("range_not_satisfiable", Status::RANGE_NOT_SATISFIABLE, "Range not satisfiable", "The requested range lies outside the file; Content-Range gives its size."),
@@ -142,6 +143,12 @@ pub struct Limit {
     pub max: u64,
     /// `null` when reading stopped at the limit.
     pub actual: Option<u64>,
+}
+
+impl From<ExceededLimit> for Limit {
+    fn from(limit: ExceededLimit) -> Self {
+        Self { name: limit.name, max: limit.max, actual: limit.actual }
+    }
 }
 
 impl ApiError {
@@ -268,6 +275,7 @@ impl From<JobError> for ApiError {
     fn from(error: JobError) -> Self {
         let mut made = Self::new(Code::Work(error.code), error.message).hint(error.hint);
         made.about.stage = error.stage.map(|stage| stage.name());
+        made.about.limit = error.limit.map(Limit::from);
         made
     }
 }

@@ -4,6 +4,7 @@ use super::App;
 use super::error::{ApiError, Code};
 use super::media::{self, Body};
 use super::negotiate::query_pairs;
+use crate::formats::refuse_foreign;
 use crate::jobs::{ErrorCode, OptionsReader, Received, Refusal, RigOptions, Upload};
 use axum::extract::multipart::{Field, MultipartError};
 use axum::extract::{FromRequest, Multipart, Request};
@@ -12,9 +13,12 @@ use bytes::Bytes;
 use http_body_util::BodyExt;
 use std::collections::BTreeSet;
 use std::time::Duration;
+use tokio::time::Instant;
 
 /// Bytes collected before they are written, so that a byte-wise upload does not become a byte-wise disk.
 const WRITE_BYTES: usize = 1 << 20;
+/// Enough of a file to tell what it is.
+const HEAD_BYTES: usize = 4096;
 /// Files and fields of one form.
 const PARTS_MAX: usize = 512;
 /// A text field, or the JSON part `options`.
@@ -79,6 +83,7 @@ async fn raw(sink: &mut Sink, request: Request, name: &str) -> Result<(), ApiErr
         let frame = frame.map_err(|_| incomplete())?;
         if let Ok(data) = frame.into_data() {
             sink.push(data).await?;
+            sink.refuse_foreign(name)?;
         }
     }
     sink.flush().await?;
@@ -96,7 +101,9 @@ async fn form(sink: &mut Sink, request: Request, options: &mut OptionsReader) ->
     let mut files = Files::default();
     for _ in 0..PARTS_MAX {
         let Some(mut field) = sink.in_time(form.next_field()).await?.map_err(|error| broken(sink, &error))? else {
-            return files.main();
+            let main = files.main()?;
+            sink.refuse_foreign(&main)?;
+            return Ok(main);
         };
         let name = field.name().unwrap_or_default().to_owned();
         match field.file_name().map(str::to_owned) {
@@ -201,7 +208,11 @@ struct Sink {
     bytes_max: u64,
     /// Bytes of the file begun last.
     file_bytes: u64,
+    /// The first bytes of each file, the newest last.
+    heads: Vec<(String, Vec<u8>)>,
     pause_max: Duration,
+    /// When even a steady upload has taken too long.
+    deadline: Instant,
 }
 
 impl Sink {
@@ -213,20 +224,28 @@ impl Sink {
             bytes: 0,
             bytes_max: app.limits.upload_bytes_max,
             file_bytes: 0,
+            heads: Vec::new(),
             pause_max: app.limits.upload_pause_max,
+            deadline: Instant::now() + app.limits.upload_time_max,
         })
     }
 
     /// What `next` gives, unless the sender pauses for too long.
     async fn in_time<T>(&self, next: impl Future<Output = T>) -> Result<T, ApiError> {
-        tokio::time::timeout(self.pause_max, next).await.map_err(|_| {
-            ApiError::new(Code::UploadTimeout, format!("no byte arrived for {} s", self.pause_max.as_secs_f64()))
-                .hint("send it again over a steadier connection")
+        let until = self.deadline.min(Instant::now() + self.pause_max);
+        tokio::time::timeout_at(until, next).await.map_err(|_| {
+            let detail = if until == self.deadline {
+                "the upload took too long".to_owned()
+            } else {
+                format!("no byte arrived for {} s", self.pause_max.as_secs_f64())
+            };
+            ApiError::new(Code::UploadTimeout, detail).hint("send it again over a steadier connection")
         })
     }
 
     async fn begin(&mut self, name: &str) -> Result<(), ApiError> {
         self.file_bytes = 0;
+        self.heads.push((name.to_owned(), Vec::new()));
         let name = name.to_owned();
         self.write(move |upload| upload.begin(&name)).await
     }
@@ -237,9 +256,22 @@ impl Sink {
         if self.bytes > self.bytes_max {
             return Err(ApiError::too_large(self.bytes_max, None));
         }
+        if let Some((_, head)) = self.heads.last_mut() {
+            let missing = HEAD_BYTES.saturating_sub(head.len()).min(data.len());
+            head.extend(data.iter().take(missing));
+        }
         self.pending_bytes += data.len();
         self.pending.push(data);
         if self.pending_bytes >= WRITE_BYTES { self.flush().await } else { Ok(()) }
+    }
+
+    /// Refuses what is surely no mesh, by name.
+    fn refuse_foreign(&self, name: &str) -> Result<(), ApiError> {
+        let head = self.heads.iter().find(|(known, _)| known == name).map_or(&[][..], |(_, head)| head);
+        refuse_foreign(head).map_err(|error| {
+            let code = Code::Work(ErrorCode::UnsupportedMediaType);
+            ApiError::new(code, format!("{name}: {error}")).hint(error.hint())
+        })
     }
 
     async fn flush(&mut self) -> Result<(), ApiError> {

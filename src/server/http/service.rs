@@ -4,7 +4,8 @@ use super::App;
 use super::error::{ApiError, Code, Facts, ProblemView};
 use super::negotiate::query;
 use super::segments::Segments;
-use super::views::{MethodListView, MethodView};
+use super::views::{ModelView, models};
+use crate::jobs::{Availability, MethodInfo};
 use axum::Json;
 use axum::extract::State;
 use axum::http::Uri;
@@ -27,6 +28,38 @@ pub struct VersionView {
     pub name: &'static str,
     #[schema(example = "0.1.0")]
     pub version: &'static str,
+}
+
+/// What runs here, and up to which sizes.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(as = MethodList)]
+pub struct MethodListView {
+    #[schema(example = "list")]
+    pub object: &'static str,
+    pub data: Vec<MethodView>,
+    /// Limits of the service, whatever the method.
+    #[schema(example = json!({"upload_bytes": 104_857_600, "queue": 100, "workers": 1, "job_seconds": 300}))]
+    pub limits: BTreeMap<&'static str, u64>,
+}
+
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(as = Method)]
+pub struct MethodView {
+    #[schema(example = "rignet")]
+    pub name: String,
+    #[schema(example = "RigNet")]
+    pub title: String,
+    pub description: String,
+    #[schema(example = true)]
+    pub available: bool,
+    /// Why it cannot run here.
+    pub unavailable_reason: Option<String>,
+    /// Licence of the weights.
+    #[schema(example = "CC-BY-4.0")]
+    pub licence: String,
+    pub models: Vec<ModelView>,
+    #[schema(example = json!({"faces": 2_000_000, "vertices": 1_000_000}))]
+    pub limits: BTreeMap<&'static str, u64>,
 }
 
 /// A kind of problem.
@@ -138,4 +171,23 @@ pub async fn get_problem(Segments(code): Segments<String>) -> Result<Json<Proble
 fn kind(code: Code) -> ProblemKindView {
     let Facts { code, status, title, meaning } = code.facts();
     ProblemKindView { code, status: status.as_u16(), title, meaning }
+}
+
+impl From<&MethodInfo> for MethodView {
+    fn from(method: &MethodInfo) -> Self {
+        let unavailable_reason = match &method.availability {
+            Availability::Available => None,
+            Availability::Unavailable { reason } => Some(reason.clone()),
+        };
+        Self {
+            name: method.name.clone(),
+            title: method.title.clone(),
+            description: method.description.clone(),
+            available: unavailable_reason.is_none(),
+            unavailable_reason,
+            licence: method.licence.clone(),
+            models: models(&method.models),
+            limits: method.limits.iter().copied().collect(),
+        }
+    }
 }

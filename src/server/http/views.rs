@@ -1,11 +1,11 @@
 //! What goes over the wire as JSON. Built from inner types here, and nowhere else.
 
+use super::error::Limit;
 use super::timestamp::rfc3339;
 use crate::formats::{Finding, Severity};
 use crate::jobs::options::axis_name;
 use crate::jobs::{
-    ArtifactInfo, Availability, FileInfo, Job, JobError, JobRequest, JobResult, JobState, LevelOfDetail, MethodInfo,
-    ModelInfo, RigOptions,
+    ArtifactInfo, FileInfo, Job, JobError, JobRequest, JobResult, JobState, LevelOfDetail, ModelInfo, RigOptions,
 };
 use serde::Serialize;
 use serde_json::{Map, Value};
@@ -176,7 +176,7 @@ pub struct ResultView {
 #[derive(Debug, Serialize, ToSchema)]
 #[schema(as = Artifact)]
 pub struct ArtifactView {
-    #[schema(example = "hero.rigged.glb")]
+    #[schema(example = "rigged.glb")]
     pub name: String,
     #[schema(example = "model/gltf-binary")]
     pub media_type: &'static str,
@@ -184,7 +184,7 @@ pub struct ArtifactView {
     pub bytes: u64,
     #[schema(example = "fcde2b2edba56bf408601fb721fe9b5c338d10ee429ea04fae5511b68fbf8fb9")]
     pub sha256: String,
-    #[schema(example = "/v1/rigs/rig_01jdf5fj63fh5ra1njpy75fmyg/artifacts/hero.rigged.glb")]
+    #[schema(example = "/v1/rigs/rig_01jdf5fj63fh5ra1njpy75fmyg/artifacts/rigged.glb")]
     pub url: String,
 }
 
@@ -204,6 +204,9 @@ pub struct JobErrorView {
     /// A page about this kind of problem.
     #[schema(example = "/v1/problems/no_joints_found")]
     pub r#type: String,
+    /// The limit that was passed.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub limit: Option<Limit>,
 }
 
 #[derive(Debug, Serialize, ToSchema)]
@@ -236,38 +239,6 @@ pub struct ArtifactListView {
     #[schema(example = "list")]
     pub object: &'static str,
     pub data: Vec<ArtifactView>,
-}
-
-/// What runs here, and up to which sizes.
-#[derive(Debug, Serialize, ToSchema)]
-#[schema(as = MethodList)]
-pub struct MethodListView {
-    #[schema(example = "list")]
-    pub object: &'static str,
-    pub data: Vec<MethodView>,
-    /// Limits of the service, whatever the method.
-    #[schema(example = json!({"upload_bytes": 104_857_600, "queue": 100, "workers": 1, "job_seconds": 300}))]
-    pub limits: BTreeMap<&'static str, u64>,
-}
-
-#[derive(Debug, Serialize, ToSchema)]
-#[schema(as = Method)]
-pub struct MethodView {
-    #[schema(example = "rignet")]
-    pub name: String,
-    #[schema(example = "RigNet")]
-    pub title: String,
-    pub description: String,
-    #[schema(example = true)]
-    pub available: bool,
-    /// Why it cannot run here.
-    pub unavailable_reason: Option<String>,
-    /// Licence of the weights.
-    #[schema(example = "CC-BY-4.0")]
-    pub licence: String,
-    pub models: Vec<ModelView>,
-    #[schema(example = json!({"faces": 2_000_000, "vertices": 1_000_000}))]
-    pub limits: BTreeMap<&'static str, u64>,
 }
 
 pub fn hex(digest: &[u8]) -> String {
@@ -336,7 +307,7 @@ fn artifacts(job: &Job, result: &JobResult) -> Vec<ArtifactView> {
     result.artifacts.iter().map(|artifact| ArtifactView::new(job, artifact)).collect()
 }
 
-fn models(models: &[ModelInfo]) -> Vec<ModelView> {
+pub fn models(models: &[ModelInfo]) -> Vec<ModelView> {
     models
         .iter()
         .map(|model| ModelView {
@@ -416,25 +387,7 @@ impl From<&JobError> for JobErrorView {
             hint: Some(error.hint.clone()).filter(|hint| !hint.is_empty()),
             retryable: error.code.retryable(),
             r#type: format!("/v1/problems/{}", error.code.name()),
-        }
-    }
-}
-
-impl From<&MethodInfo> for MethodView {
-    fn from(method: &MethodInfo) -> Self {
-        let unavailable_reason = match &method.availability {
-            Availability::Available => None,
-            Availability::Unavailable { reason } => Some(reason.clone()),
-        };
-        Self {
-            name: method.name.clone(),
-            title: method.title.clone(),
-            description: method.description.clone(),
-            available: unavailable_reason.is_none(),
-            unavailable_reason,
-            licence: method.licence.clone(),
-            models: models(&method.models),
-            limits: method.limits.iter().copied().collect(),
+            limit: error.limit.map(Limit::from),
         }
     }
 }

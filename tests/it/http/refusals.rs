@@ -59,6 +59,21 @@ async fn wrong_forms_are_refused() {
 }
 
 #[tokio::test]
+async fn files_that_are_no_meshes_are_named_by_what_they_hold() {
+    let service = Service::new();
+    let png = "\u{89}PNG";
+    for (content, seen) in [("BLENDER-v402", "a Blender 4.2 file"), ("<!DOCTYPE html><p>", "a web page")] {
+        let problem = service.rig("", &[], content).await.refused(415, "unsupported_media_type");
+        assert!(problem["detail"].as_str().expect("detail").contains(seen), "{problem:#}");
+        let parts = [("file", Some("hero.obj"), content), ("skin", Some("skin.png"), png)];
+        service.send(form("/v1/rigs", &[], &parts)).await.refused(415, "unsupported_media_type");
+    }
+    let endless = Body::new(Endless { chunks: vec![b"BLENDER-v402"], breaks: false });
+    service.send(post(&[OBJ], endless)).await.refused(415, "unsupported_media_type");
+    assert_eq!(service.files(), 0);
+}
+
+#[tokio::test]
 async fn other_media_types_are_named() {
     let service = Service::new();
     for media_type in ["application/json", "text/html", "image/png"] {
@@ -112,6 +127,10 @@ async fn uploads_that_stall_or_break_leave_nothing() {
         let stalled = Body::new(Endless { chunks: vec![chunk], breaks: false });
         service.send(post(&[field], stalled)).await.refused(408, "upload_timeout");
     }
+    let slow = Service::with(|_, limits| limits.upload_time_max = Duration::from_millis(50));
+    let refused = slow.send(post(&[OBJ], Body::new(Endless { chunks: vec![b"ok"], breaks: false }))).await;
+    let problem = refused.refused(408, "upload_timeout");
+    assert_eq!(problem["detail"], "the upload took too long");
     let broken = Body::new(Endless { chunks: vec![b"ok"], breaks: true });
     service.send(post(&[OBJ], broken)).await.refused(400, "upload_incomplete");
     let abandoned = Body::new(Endless { chunks: vec![b"ok"], breaks: false });

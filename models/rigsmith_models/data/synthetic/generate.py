@@ -10,10 +10,10 @@ from .families import FAMILIES
 from .shapes import BODY
 from .sketch import Sketch
 from .skin import skin_weights
-from .surface import decimate, mesh_shells, outward_half, split_long_edges, without_unused
+from .surface import decimate, mesh_shells, outward_half, split_long_edges, with_holes, without_unused
 
 # Raise this with any change that makes another character from the same seed.
-GENERATOR_VERSION = 2
+GENERATOR_VERSION = 3
 
 FEWEST_VERTICES = 1000  # as in the working meshes that the networks see
 
@@ -98,6 +98,9 @@ def _mesh(sketch: Sketch, target_vertices: int | None) -> tuple[np.ndarray, np.n
     low_polygon = sketch.chance(0.2)
     target = sketch.integer(300, 800) if low_polygon else sketch.integer(FEWEST_VERTICES, 3500)
     target = target_vertices or target
+    # Denser at the joints: fewer vertices everywhere, then more where it bends.
+    dense_at_joints = sketch.chance(0.25)
+    first_target = round(target * sketch.uniform(0.55, 0.8)) if dense_at_joints else target
     aggression = sketch.uniform(4, 7)
     shells = mesh_shells(sketch.shapes, spacing)
     total = sum(len(vertices) for _, vertices, _ in shells)
@@ -106,17 +109,25 @@ def _mesh(sketch: Sketch, target_vertices: int | None) -> tuple[np.ndarray, np.n
     for shell, vertices, faces in shells:
         if shell in sketch.sheets and shell != BODY:
             faces = outward_half(vertices, faces, sketch.sheets[shell])
-        vertices, faces = decimate(vertices, faces, round(target * len(vertices) / total), aggression)
+        vertices, faces = decimate(vertices, faces, round(first_target * len(vertices) / total), aggression)
         vertices, faces = without_unused(vertices, faces)
         all_vertices.append(vertices)
         all_faces.append(faces + count)
         all_shells.append(np.full(len(vertices), shell))
         count += len(vertices)
     vertices, faces, shell_of = np.concatenate(all_vertices), np.concatenate(all_faces), np.concatenate(all_shells)
-    if target_vertices is None and len(vertices) < FEWEST_VERTICES:
-        before = len(vertices)
-        vertices, faces, shell_of = *split_long_edges(vertices, faces, FEWEST_VERTICES), shell_of
-        shell_of = _shells_after_split(faces, shell_of, before, len(vertices))
+    before = len(vertices)
+    if dense_at_joints:
+        vertices, faces = split_long_edges(vertices, faces, target, (np.array(sketch.joints), 0.09 * size))
+    if target_vertices is None:
+        vertices, faces = split_long_edges(vertices, faces, FEWEST_VERTICES)
+    shell_of = _shells_after_split(faces, shell_of, before, len(vertices))
+    if sketch.chance(0.08):
+        holes = vertices[sketch.random.integers(0, len(vertices), sketch.integer(1, 3))]
+        faces = with_holes(vertices, faces, holes, sketch.uniform(0.01, 0.03) * size)
+        used = np.unique(faces)
+        vertices, faces = without_unused(vertices, faces)
+        shell_of = shell_of[used]
     return vertices, faces, shell_of
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import fast_simplification
 import numpy as np
+from scipy.spatial import cKDTree
 from skimage.measure import marching_cubes
 
 from .shapes import Shape
@@ -67,16 +68,25 @@ def decimate(vertices: np.ndarray, faces: np.ndarray, target: int, aggression: f
     return fewer_vertices.astype(float), fewer_faces.astype(np.int64)
 
 
+def with_holes(vertices: np.ndarray, faces: np.ndarray, centres: np.ndarray, radius: float) -> np.ndarray:
+    """The faces without those around some points: an open boundary, as at a neck that a collar hides."""
+    middles = vertices[faces].mean(1)
+    return faces[cKDTree(centres).query(middles)[0] > radius]
+
+
 def without_unused(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     used, inverse = np.unique(faces, return_inverse=True)
     return vertices[used], inverse.reshape(faces.shape)
 
 
-def split_long_edges(vertices: np.ndarray, faces: np.ndarray, fewest: int) -> tuple[np.ndarray, np.ndarray]:
-    """Halves the longest edges, keeping neighbours conformal, until there are at least `fewest` vertices.
+def split_long_edges(
+    vertices: np.ndarray, faces: np.ndarray, fewest: int, near: tuple[np.ndarray, float] | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Halves the longest edges, keeping neighbours conformal, until there are `fewest` vertices.
 
-    Ends after at most 12 rounds: each round halves all edges longer than three quarters of the median of the longest
-    edge per face, so that the count grows by at least a quarter.
+    Each round halves the edges longer than three quarters of the median over the faces of their longest edge. With
+    `near`, points (N, 3) and a radius, only edges that close to a point: artists put their vertices where it bends.
+    Ends after at most 12 rounds, or when no edge is left to halve.
     """
     for _ in range(12):
         if len(vertices) >= fewest:
@@ -87,9 +97,16 @@ def split_long_edges(vertices: np.ndarray, faces: np.ndarray, fewest: int) -> tu
         edge_of = edge_of.reshape(len(faces), 3)
         length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
         long = length > 0.75 * np.median(length[edge_of].max(1))
+        if near is not None:
+            points, radius = near
+            long &= cKDTree(points).query(vertices[edges].mean(1))[0] < radius
+        candidates = np.flatnonzero(long)
+        if len(candidates) == 0:
+            break
+        halved = candidates[np.argsort(-length[candidates], kind="stable")[: fewest - len(vertices)]]
         middle = np.full(len(edges), -1)
-        middle[long] = len(vertices) + np.arange(long.sum())
-        vertices = np.concatenate([vertices, vertices[edges[long]].mean(1)])
+        middle[halved] = len(vertices) + np.arange(len(halved))
+        vertices = np.concatenate([vertices, vertices[edges[halved]].mean(1)])
         faces = _split_faces(faces, middle[edge_of])
     return vertices, faces
 

@@ -1,0 +1,61 @@
+//! Why a command ended without its result: a line for people, and the exit status for scripts.
+
+use rigsmith::jobs::JobError;
+use std::path::Path;
+use std::process::ExitCode;
+
+/// Message, next step and exit status.
+#[derive(Debug)]
+pub struct Failure {
+    message: String,
+    hint: String,
+    exit: u8,
+}
+
+const BAD_ARGUMENTS: u8 = 2;
+const INTERNAL: u8 = 5;
+
+impl Failure {
+    pub fn arguments(message: impl Into<String>) -> Self {
+        Self { message: message.into(), hint: "see rigsmith --help".into(), exit: BAD_ARGUMENTS }
+    }
+
+    pub fn internal(message: impl Into<String>, hint: impl Into<String>) -> Self {
+        Self { message: message.into(), hint: hint.into(), exit: INTERNAL }
+    }
+
+    /// A file of the user's that cannot be read.
+    pub fn unreadable(path: &Path, error: &std::io::Error) -> Self {
+        Self { message: format!("{}: {error}", path.display()), hint: String::new(), exit: BAD_ARGUMENTS }
+    }
+
+    /// A result that cannot be written.
+    pub fn unwritable(path: &Path, error: &std::io::Error) -> Self {
+        Self::internal(format!("{} cannot be written: {error}", path.display()), "name another place with -o")
+    }
+
+    /// The work on the file named `input` failed.
+    pub fn job(input: &Path, error: &JobError) -> Self {
+        let code = error.code.name();
+        Self {
+            message: format!("{}: {} ({code})", input.display(), error.message),
+            hint: error.hint.clone(),
+            exit: error.code.exit_code(),
+        }
+    }
+
+    /// Says it on stderr.
+    pub fn report(&self) -> ExitCode {
+        eprintln!("error: {}", self.message);
+        if !self.hint.is_empty() {
+            eprintln!("  hint: {}", self.hint);
+        }
+        ExitCode::from(self.exit)
+    }
+}
+
+impl From<rigsmith::nets::NetError> for Failure {
+    fn from(error: rigsmith::nets::NetError) -> Self {
+        Self::internal(error.to_string(), error.hint())
+    }
+}

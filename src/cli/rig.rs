@@ -1,0 +1,135 @@
+//! `rigsmith rig`: a file in, files out.
+
+use super::EngineOptions;
+use super::failure::Failure;
+use super::files::{InputFile, write_whole};
+use clap::Args;
+use rigsmith::jobs::{Engine, OptionsReader, Outcome, Output, RigOptions, Watch};
+use std::path::{Path, PathBuf};
+
+#[derive(Args)]
+pub struct RigArguments {
+    /// The mesh: .glb, .gltf, .obj, .ply, .stl, .fbx, or a .zip of one with its textures.
+    input: PathBuf,
+    /// What to make, by extension: .glb, .gltf, .rig.json, .txt (RigNet text) or .png (preview). Repeat for more.
+    #[arg(short, long = "output", value_name = "OUT", required = true)]
+    outputs: Vec<PathBuf>,
+    #[command(flatten)]
+    options: OptionArguments,
+    /// Write the report of the work as JSON.
+    #[arg(long, value_name = "FILE.json")]
+    report: Option<PathBuf>,
+}
+
+/// The options of a rig, named as in the HTTP API.
+#[derive(Args)]
+pub struct OptionArguments {
+    /// The method to rig by; see `rigsmith methods`.
+    #[arg(long, value_name = "NAME")]
+    method: Option<String>,
+    /// How many joints: 0 (few) to 1 (many).
+    #[arg(long, value_name = "0..1", conflicts_with = "bandwidth")]
+    detail: Option<String>,
+    /// RigNet's mean-shift bandwidth instead of --detail; larger means fewer joints.
+    #[arg(long, value_name = "H")]
+    bandwidth: Option<String>,
+    /// Make left and right alike: auto, on or off.
+    #[arg(long, value_name = "auto|on|off")]
+    symmetry: Option<String>,
+    /// Most joints that may move one vertex, 1 to 8.
+    #[arg(long, value_name = "N")]
+    max_influences: Option<String>,
+    /// Fixes what the mesh does not decide.
+    #[arg(long, value_name = "N")]
+    seed: Option<String>,
+    /// The axis that points up, where the file does not say: x, -x, y, -y, z or -z.
+    #[arg(long, value_name = "AXIS", allow_hyphen_values = true)]
+    up: Option<String>,
+    /// The axis that the character faces.
+    #[arg(long, value_name = "AXIS", allow_hyphen_values = true)]
+    front: Option<String>,
+    /// What to do with a file that is rigged already: reject or replace.
+    #[arg(long, value_name = "reject|replace")]
+    existing_rig: Option<String>,
+}
+
+impl OptionArguments {
+    /// The options, checked by the reader that the HTTP door uses too.
+    pub fn read(&self, outputs: &[Output]) -> Result<RigOptions, Failure> {
+        let mut reader = OptionsReader::default();
+        let given = [
+            ("method", &self.method),
+            ("detail", &self.detail),
+            ("bandwidth", &self.bandwidth),
+            ("symmetry", &self.symmetry),
+            ("max_influences", &self.max_influences),
+            ("seed", &self.seed),
+            ("up", &self.up),
+            ("front", &self.front),
+            ("existing_rig", &self.existing_rig),
+        ];
+        for (field, value) in given {
+            if let Some(value) = value {
+                reader.text(field, value);
+            }
+        }
+        if !outputs.is_empty() {
+            let names: Vec<&str> = outputs.iter().map(|output| output.name()).collect();
+            reader.text("outputs", &names.join(","));
+        }
+        reader.finish().map_err(|errors| {
+            let lines: Vec<String> =
+                errors.iter().map(|error| format!("--{}: {}", error.field.replace('_', "-"), error.detail)).collect();
+            Failure::arguments(lines.join("; "))
+        })
+    }
+}
+
+pub fn run(arguments: &RigArguments, engine: &EngineOptions) -> Result<(), Failure> {
+    let kinds = arguments.outputs.iter().map(|path| output_kind(path)).collect::<Result<Vec<_>, _>>()?;
+    let options = arguments.options.read(&kinds)?;
+    let file = InputFile::read(&arguments.input)?;
+    let engine = Engine::open(&engine.load_options(1))?;
+    let watch = Watch::unattended();
+    let outcome = engine
+        .rig_file(&file.name, &file.bytes, &file.siblings, &options, &watch)
+        .map_err(|error| Failure::job(&arguments.input, &error))?;
+    for (path, kind) in arguments.outputs.iter().zip(kinds) {
+        let artifact = outcome
+            .artifact(kind)
+            .ok_or_else(|| Failure::internal(format!("no {} was made", kind.name()), "report this as a bug"))?;
+        write_whole(path, &artifact.bytes)?;
+    }
+    if let Some(path) = &arguments.report {
+        let report = serde_json::to_vec_pretty(&outcome.timed_report(&watch))
+            .map_err(|error| Failure::internal(error.to_string(), ""))?;
+        write_whole(path, &report)?;
+    }
+    summarise(&arguments.outputs, &outcome, &watch);
+    Ok(())
+}
+
+/// Which output a file name asks for.
+fn output_kind(path: &Path) -> Result<Output, Failure> {
+    let name = path.file_name().map(|name| name.to_string_lossy().to_lowercase()).unwrap_or_default();
+    let kinds = [
+        (".rig.json", Output::RigJson),
+        (".glb", Output::Glb),
+        (".gltf", Output::Gltf),
+        (".txt", Output::RignetTxt),
+        (".png", Output::PreviewPng),
+    ];
+    kinds.into_iter().find(|(ending, _)| name.ends_with(ending)).map(|(_, kind)| kind).ok_or_else(|| {
+        Failure::arguments(format!("-o {}: the name must end in .glb, .gltf, .rig.json, .txt or .png", path.display()))
+    })
+}
+
+fn summarise(outputs: &[PathBuf], outcome: &Outcome, watch: &Watch) {
+    let seconds: f64 = watch.timings().iter().map(|timing| timing.duration.as_secs_f64()).sum();
+    let names: Vec<String> = outputs.iter().map(|path| path.display().to_string()).collect();
+    eprintln!("{} joints by {} in {seconds:.1} s: {}", outcome.joint_count(), outcome.method_used, names.join(", "));
+    for finding in &outcome.findings {
+        let hint = if finding.hint.is_empty() { String::new() } else { format!(" ({})", finding.hint) };
+        eprintln!("note: {}{hint}", finding.message);
+    }
+}

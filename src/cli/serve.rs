@@ -1,0 +1,66 @@
+//! `rigsmith serve` and `rigsmith health`.
+
+use super::EngineOptions;
+use super::failure::Failure;
+use clap::Args;
+use rigsmith::config::ServeConfig;
+use rigsmith::jobs::Engine;
+use rigsmith::{server, telemetry};
+use std::io::{Read, Write};
+use std::net::{SocketAddr, TcpStream};
+use std::sync::Arc;
+use std::time::Duration;
+
+#[derive(Args)]
+pub struct ServeArguments {
+    #[command(flatten)]
+    config: ServeConfig,
+}
+
+#[derive(Args)]
+pub struct HealthArguments {
+    /// Address of the service.
+    #[arg(long, env = "RIGSMITH_LISTEN", value_name = "ADDR", default_value = "127.0.0.1:8080")]
+    listen: SocketAddr,
+}
+
+pub fn run(arguments: ServeArguments, engine: &EngineOptions) -> Result<(), Failure> {
+    let config = arguments.config;
+    telemetry::init(config.log_format, &config.log).map_err(|error| Failure::arguments(error.to_string()))?;
+    // A service without its networks would only ever refuse: better to stop here, where the operator sees it.
+    let engine = Engine::open(&engine.load_options(config.workers))?;
+    let runtime = tokio::runtime::Runtime::new().map_err(|error| Failure::internal(error.to_string(), ""))?;
+    let listening = |address: SocketAddr| {
+        println!("rigsmith listens on http://{address} (API description: http://{address}/docs)");
+    };
+    runtime
+        .block_on(server::serve(&config, Arc::new(engine), listening))
+        .map_err(|error| Failure::internal(error.to_string(), "name another address by --listen, or folder by --data"))
+}
+
+/// How long a health check waits for its answer.
+const PATIENCE: Duration = Duration::from_secs(4);
+
+/// Succeeds when the service at the address answers that it is ready.
+pub fn health(arguments: &HealthArguments) -> Result<(), Failure> {
+    let mut address = arguments.listen;
+    if address.ip().is_unspecified() {
+        address.set_ip(std::net::Ipv4Addr::LOCALHOST.into());
+    }
+    let answer = ask(address).map_err(|error| Failure::internal(format!("{address}: {error}"), "is it running?"))?;
+    if answer.starts_with("HTTP/1.1 200") {
+        Ok(())
+    } else {
+        let line = answer.lines().next().unwrap_or("no answer").to_owned();
+        Err(Failure::internal(format!("{address} is not ready: {line}"), ""))
+    }
+}
+
+fn ask(address: SocketAddr) -> std::io::Result<String> {
+    let mut stream = TcpStream::connect_timeout(&address, PATIENCE)?;
+    stream.set_read_timeout(Some(PATIENCE))?;
+    write!(stream, "GET /readyz HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n")?;
+    let mut answer = String::new();
+    stream.take(64 * 1024).read_to_string(&mut answer)?;
+    Ok(answer)
+}

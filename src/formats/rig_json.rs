@@ -1,0 +1,232 @@
+//! `rigsmith.rig/1`: a rig as JSON, for scripts and for sending an edited skeleton back.
+//!
+//! ```text
+//! {"format": "rigsmith.rig/1", "method": …,
+//!  "joints": [{"name": …, "parent": null | index, "position": [x, y, z]} …],
+//!  "skins": [{"mesh": i, "primitive": j, "joints": [[…] …], "weights": [[…] …]} …],
+//!  "report": {…}}
+//! ```
+//! Parents precede children; positions are in upload space. One skin per part of the asset, one row per vertex: file
+//! vertices in file order, or for glTF a primitive's vertices in accessor order.
+
+use super::{Asset, gltf};
+use crate::rig::{Influence, Joint, Rig, Skeleton, SkinWeights};
+use glam::DVec3;
+use serde::ser::Serializer;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use std::collections::BTreeSet;
+
+pub const FORMAT: &str = "rigsmith.rig/1";
+
+/// A rig file as it was read.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RigFile {
+    pub method: String,
+    pub skeleton: Skeleton,
+    pub skins: Vec<PartSkin>,
+    pub report: Value,
+}
+
+/// Skin weights of one part.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PartSkin {
+    pub mesh: usize,
+    pub primitive: usize,
+    pub weights: SkinWeights,
+}
+
+/// Why a rig file cannot be used.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum RigFileError {
+    #[error("this is no rig file: line {line}, column {column}: {problem}")]
+    Json { line: usize, column: usize, problem: String },
+    #[error("the format is {found:?}, expected {FORMAT:?}")]
+    Format { found: String },
+    #[error("the skeleton has no joints")]
+    NoJoints,
+    #[error("joint {joint} ({name:?}): {problem}")]
+    Joint { joint: usize, name: String, problem: String },
+    #[error("skin {skin}, vertex {vertex}: {problem}")]
+    Weights { skin: usize, vertex: usize, problem: String },
+}
+
+impl RigFileError {
+    /// The stable code that scripts match on.
+    pub fn code(&self) -> &'static str {
+        match self {
+            Self::Json { .. } => "invalid_json",
+            Self::Format { .. } | Self::NoJoints | Self::Joint { .. } | Self::Weights { .. } => "skeleton_invalid",
+        }
+    }
+
+    /// What the sender can do about it, as one sentence without a full stop.
+    pub fn hint(&self) -> &'static str {
+        match self {
+            Self::Json { .. } => "send the rig.json of an earlier rig, edited",
+            Self::Format { .. } => "convert the file to this format, or fetch rig.json again",
+            Self::NoJoints => "give at least a root joint",
+            Self::Joint { .. } => {
+                "list parents before their children, one root first, with unique names and finite positions"
+            }
+            Self::Weights { .. } => "give each vertex as many joints as weights, and at least one weight above zero",
+        }
+    }
+}
+
+#[derive(Serialize)]
+struct Written<'a> {
+    format: &'static str,
+    method: &'a str,
+    joints: Vec<WrittenJoint<'a>>,
+    skins: Vec<WrittenSkin<'a>>,
+    report: &'a Value,
+}
+
+#[derive(Serialize)]
+struct WrittenJoint<'a> {
+    name: &'a str,
+    parent: Option<usize>,
+    position: [f64; 3],
+}
+
+#[derive(Serialize)]
+struct WrittenSkin<'a> {
+    mesh: usize,
+    primitive: usize,
+    #[serde(serialize_with = "joint_rows")]
+    joints: &'a [Vec<Influence>],
+    #[serde(serialize_with = "weight_rows")]
+    weights: &'a [Vec<Influence>],
+}
+
+fn joint_rows<S: Serializer>(rows: &&[Vec<Influence>], serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.collect_seq(rows.iter().map(|row| row.iter().map(|influence| influence.joint).collect::<Vec<_>>()))
+}
+
+fn weight_rows<S: Serializer>(rows: &&[Vec<Influence>], serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.collect_seq(rows.iter().map(|row| row.iter().map(|influence| influence.weight).collect::<Vec<_>>()))
+}
+
+/// Writes `rig`, whose rows are those of the asset's mesh. Joints have the names that they have in the glTF output.
+pub fn write(asset: &Asset, rig: &Rig, method: &str, report: &Value) -> Vec<u8> {
+    let names = gltf::joint_names(asset, &rig.skeleton);
+    let joint =
+        |(joint, name): (&Joint, _)| WrittenJoint { name, parent: joint.parent, position: joint.position.to_array() };
+    let skins = asset.parts.iter().map(|part| {
+        let rows = rig.skin.rows.get(part.vertices.clone()).unwrap_or_default();
+        WrittenSkin { mesh: part.mesh, primitive: part.primitive, joints: rows, weights: rows }
+    });
+    let written = Written {
+        format: FORMAT,
+        method,
+        joints: rig.skeleton.joints.iter().zip(names.iter().map(String::as_str)).map(joint).collect(),
+        skins: skins.collect(),
+        report,
+    };
+    serde_json::to_vec(&written).expect("plain data always serializes")
+}
+
+#[derive(Deserialize)]
+struct Read {
+    format: String,
+    #[serde(default)]
+    method: String,
+    joints: Vec<ReadJoint>,
+    #[serde(default)]
+    skins: Vec<ReadSkin>,
+    #[serde(default)]
+    report: Value,
+}
+
+#[derive(Deserialize)]
+struct ReadJoint {
+    name: String,
+    parent: Option<usize>,
+    position: [f64; 3],
+}
+
+#[derive(Deserialize)]
+struct ReadSkin {
+    #[serde(default)]
+    mesh: usize,
+    #[serde(default)]
+    primitive: usize,
+    joints: Vec<Vec<u32>>,
+    weights: Vec<Vec<f32>>,
+}
+
+/// Reads a rig file. Fields that this version does not know are ignored.
+pub fn read(bytes: &[u8]) -> Result<RigFile, RigFileError> {
+    let read: Read = serde_json::from_slice(bytes).map_err(|error| RigFileError::Json {
+        line: error.line(),
+        column: error.column(),
+        problem: error.to_string(),
+    })?;
+    if read.format != FORMAT {
+        return Err(RigFileError::Format { found: read.format });
+    }
+    let skeleton = skeleton(read.joints)?;
+    let joints = skeleton.joints.len();
+    let skins = read.skins.into_iter().enumerate().map(|(index, skin)| part_skin(index, skin, joints));
+    Ok(RigFile { method: read.method, skins: skins.collect::<Result<_, _>>()?, skeleton, report: read.report })
+}
+
+fn skeleton(read: Vec<ReadJoint>) -> Result<Skeleton, RigFileError> {
+    if read.is_empty() {
+        return Err(RigFileError::NoJoints);
+    }
+    let mut names = BTreeSet::new();
+    for (index, joint) in read.iter().enumerate() {
+        let problem = match joint.parent {
+            None if index > 0 => "only the first joint may be without a parent".to_owned(),
+            Some(parent) if parent >= index => format!("its parent, joint {parent}, does not come before it"),
+            _ if joint.name.is_empty() => "its name is empty".to_owned(),
+            _ if !names.insert(joint.name.as_str()) => "another joint has the same name".to_owned(),
+            _ if joint.position.iter().any(|value| !value.is_finite()) => "its position is not finite".to_owned(),
+            _ => continue,
+        };
+        return Err(RigFileError::Joint { joint: index, name: joint.name.clone(), problem });
+    }
+    let joint = |joint: ReadJoint| Joint {
+        name: joint.name,
+        parent: joint.parent,
+        position: DVec3::from_array(joint.position),
+    };
+    Ok(Skeleton { joints: read.into_iter().map(joint).collect() })
+}
+
+fn part_skin(index: usize, skin: ReadSkin, joint_count: usize) -> Result<PartSkin, RigFileError> {
+    let fault = |vertex: usize, problem: String| RigFileError::Weights { skin: index, vertex, problem };
+    let (joints, weights) = (skin.joints.len(), skin.weights.len());
+    if joints != weights {
+        return Err(fault(joints.min(weights), format!("{joints} rows of joints, but {weights} rows of weights")));
+    }
+    let mut rows = Vec::with_capacity(joints);
+    for (vertex, (joints, weights)) in skin.joints.iter().zip(&skin.weights).enumerate() {
+        if joints.len() != weights.len() {
+            return Err(fault(vertex, format!("{} joints, but {} weights", joints.len(), weights.len())));
+        }
+        if let Some(joint) = joints.iter().find(|joint| **joint as usize >= joint_count) {
+            return Err(fault(vertex, format!("joint {joint}, but the skeleton has {joint_count}")));
+        }
+        if let Some(weight) = weights.iter().find(|weight| !(weight.is_finite() && **weight >= 0.0)) {
+            return Err(fault(vertex, format!("the weight {weight} is below zero or not finite")));
+        }
+        rows.push(row(joints, weights).ok_or_else(|| fault(vertex, "no weight is above zero".into()))?);
+    }
+    Ok(PartSkin { mesh: skin.mesh, primitive: skin.primitive, weights: SkinWeights { rows } })
+}
+
+/// Keeps the promises of [`SkinWeights`]: each joint once, descending, above zero.
+fn row(joints: &[u32], weights: &[f32]) -> Option<Vec<Influence>> {
+    let mut row: Vec<Influence> = Vec::with_capacity(joints.len());
+    for (&joint, &weight) in joints.iter().zip(weights).filter(|(_, weight)| **weight > 0.0) {
+        match row.iter_mut().find(|influence| influence.joint == joint) {
+            Some(influence) => influence.weight += weight,
+            None => row.push(Influence { joint, weight }),
+        }
+    }
+    row.sort_by(|a, b| b.weight.total_cmp(&a.weight).then(a.joint.cmp(&b.joint)));
+    (!row.is_empty()).then_some(row)
+}

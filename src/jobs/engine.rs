@@ -1,0 +1,234 @@
+//! The work itself: an upload's bytes in, artifacts out. The command line and the workers call the same function.
+
+use super::failure::{ErrorCode, JobError};
+use super::options::{Output, RigOptions};
+use super::perform::{Artifact, MethodInfo, Outcome, Readiness, RigRequest, Rigger, Watch};
+use super::report;
+use super::stage::Stage;
+use crate::formats::gltf::{EncodeOptions, encode_glb, encode_gltf};
+use crate::formats::preview::{self, PreviewOptions};
+use crate::formats::{
+    self, Asset, Axes, Axis, DecodeError, DecodeOptions, Finding, Limits, Severity, Siblings, rig_json, rignet_text,
+};
+use crate::pipelines::{self, LoadOptions, Method, Models, RigError, Rigged, Subject, orientation};
+
+/// Makes rigs with the networks of one models folder.
+pub struct Engine {
+    models: Models,
+    limits: Limits,
+}
+
+impl Engine {
+    /// Loads and tests the networks. A network that fails makes its method unavailable; see [`Rigger::methods`].
+    pub fn open(options: &LoadOptions) -> Result<Self, pipelines::NetError> {
+        Ok(Self { models: Models::load(options)?, limits: Limits::default() })
+    }
+
+    /// Rigs one file and makes what `options.outputs` names.
+    pub fn rig_file(
+        &self,
+        file_name: &str,
+        bytes: &[u8],
+        siblings: &dyn Siblings,
+        options: &RigOptions,
+        watch: &Watch,
+    ) -> Result<Outcome, JobError> {
+        let method = method_of(options)?;
+        let mut upload = Upload::read(file_name, bytes, siblings, options, &self.limits, watch)?;
+        let subject = Subject { mesh: &upload.asset.mesh, to_upright: upload.orientation.rotation() };
+        let on_stage = |stage| watch.enter(Stage::from(stage));
+        let pipeline_watch = pipelines::Watch { cancellation: watch.cancellation(), on_stage: &on_stage };
+        let rigged = pipelines::rig(subject, &self.models, &pipeline_options(method, options), pipeline_watch)
+            .map_err(|error| rig_failure(&error, watch))?;
+        watch.check()?;
+        watch.enter(Stage::Export);
+        upload.findings.extend(report::findings(&rigged));
+        let facts = report::facts(method, options, &upload, &rigged, &self.models);
+        let artifacts = options
+            .outputs
+            .iter()
+            .map(|&output| encode(output, &upload.asset, &rigged, method, options.max_influences, &facts))
+            .collect::<Result<Vec<_>, _>>()?;
+        watch.check()?;
+        Ok(Outcome { artifacts, report: facts, findings: upload.findings, method_used: method.name().to_owned() })
+    }
+}
+
+/// What would be rigged and what was noticed, without running a network.
+pub fn check_file(
+    file_name: &str,
+    bytes: &[u8],
+    siblings: &dyn Siblings,
+    options: &RigOptions,
+    watch: &Watch,
+) -> Result<serde_json::Map<String, serde_json::Value>, JobError> {
+    let method = method_of(options)?;
+    // A check tells of an existing rig rather than refusing it.
+    let lenient = RigOptions { existing_rig: formats::ExistingRigPolicy::Replace, ..options.clone() };
+    let upload = Upload::read(file_name, bytes, siblings, &lenient, &Limits::default(), watch)?;
+    Ok(report::check(method, options, &upload))
+}
+
+/// A decoded upload and which way it stands.
+pub(super) struct Upload {
+    pub asset: Asset,
+    pub orientation: orientation::Orientation,
+    /// Whether the axes were given (by caller or file) rather than guessed.
+    pub orientation_given: bool,
+    pub findings: Vec<Finding>,
+}
+
+impl Upload {
+    fn read(
+        file_name: &str,
+        bytes: &[u8],
+        siblings: &dyn Siblings,
+        options: &RigOptions,
+        limits: &Limits,
+        watch: &Watch,
+    ) -> Result<Self, JobError> {
+        watch.check()?;
+        watch.enter(Stage::Ingest);
+        let decode_options = DecodeOptions { existing_rig: options.existing_rig, allow_missing_textures: false };
+        let asset = formats::decode(file_name, bytes, siblings, limits, &decode_options)
+            .map_err(|error| refusal(&error, watch))?;
+        watch.check()?;
+        watch.enter(Stage::Check);
+        let mut findings = asset.findings.clone();
+        let (orientation, given) = orientation_of(&asset, options, &mut findings)
+            .ok_or_else(|| JobError::new(ErrorCode::NotRiggable, "up and front lie on one line").at(Stage::Check))?;
+        Ok(Self { asset, orientation, orientation_given: given, findings })
+    }
+}
+
+impl Rigger for Engine {
+    fn perform(&self, request: &RigRequest, watch: &Watch) -> Result<Outcome, JobError> {
+        let (main, siblings) = request.split()?;
+        self.rig_file(&main.name, &main.bytes, &siblings, &request.options, watch)
+    }
+
+    fn check(
+        &self,
+        request: &RigRequest,
+        watch: &Watch,
+    ) -> Result<serde_json::Map<String, serde_json::Value>, JobError> {
+        let (main, siblings) = request.split()?;
+        check_file(&main.name, &main.bytes, &siblings, &request.options, watch)
+    }
+
+    fn methods(&self) -> Vec<MethodInfo> {
+        Method::ALL.into_iter().map(|method| report::method_info(method, &self.models, &self.limits)).collect()
+    }
+
+    fn ready(&self) -> Readiness {
+        let reasons: Vec<String> =
+            Method::ALL.into_iter().filter_map(|method| pipelines::unavailable(method, &self.models)).collect();
+        if reasons.len() < Method::ALL.len() {
+            Readiness::Ready
+        } else {
+            Readiness::Unavailable { reason: reasons.join("; ") }
+        }
+    }
+}
+
+fn method_of(options: &RigOptions) -> Result<Method, JobError> {
+    let Some(name) = &options.method else { return Ok(Method::RigNet) };
+    Method::from_name(name).ok_or_else(|| {
+        let known = Method::ALL.map(Method::name).join(", ");
+        JobError::new(ErrorCode::ModelUnavailable, format!("there is no method {name:?}"))
+            .hint(format!("name one of {known}, or leave it out"))
+    })
+}
+
+fn pipeline_options(method: Method, options: &RigOptions) -> pipelines::RigOptions {
+    pipelines::RigOptions {
+        method,
+        level_of_detail: options.level_of_detail,
+        symmetry: options.symmetry,
+        max_influences: options.max_influences,
+        seed: options.seed,
+    }
+}
+
+/// The axes that the caller names, else those of the file, else a guess. Second: whether nothing was guessed.
+/// `None` where up and front lie on one line.
+fn orientation_of(
+    asset: &Asset,
+    options: &RigOptions,
+    findings: &mut Vec<Finding>,
+) -> Option<(orientation::Orientation, bool)> {
+    let from_file = asset.axes;
+    let guess = match (from_file, options.up, options.front) {
+        (None, up, front) if up.is_none() || front.is_none() => Some(orientation::guess_orientation(&asset.mesh)),
+        _ => None,
+    };
+    let direction = |axis: Axis| axis.direction();
+    let file_up = from_file.map(|Axes { up, .. }| direction(up));
+    let file_front = from_file.map(|Axes { front, .. }| direction(front));
+    let up = options.up.map(direction).or(file_up).or(guess.map(|guess| guess.up))?;
+    let front = options.front.map(direction).or(file_front).or(guess.map(|guess| guess.front))?;
+    // A named up axis may lie along the file's or the guessed front: any other axis will do then.
+    let front = if up.cross(front).length_squared() > 0.5 { front } else { orientation::any_front(up) };
+    let confidence = guess.map_or(1.0, |guess| guess.confidence);
+    if let Some(guess) = guess {
+        findings.push(Finding {
+            code: "orientation_guessed",
+            severity: if guess.confidence < 0.5 { Severity::Warning } else { Severity::Info },
+            message: format!(
+                "the file does not say which way is up: took {} as up and {} as front (confidence {:.2})",
+                axis_words(up),
+                axis_words(front),
+                guess.confidence
+            ),
+            hint: "name them by up and front if this is wrong".into(),
+        });
+    }
+    Some((orientation::Orientation { up, front, confidence }, guess.is_none()))
+}
+
+fn axis_words(direction: glam::DVec3) -> &'static str {
+    Axis::ALL.into_iter().find(|axis| axis.direction() == direction).map_or("another direction", Axis::name)
+}
+
+fn refusal(error: &DecodeError, watch: &Watch) -> JobError {
+    let code = ErrorCode::named(error.code()).unwrap_or(ErrorCode::UnreadableMesh);
+    let refused = JobError { limit: error.limit(), ..JobError::new(code, error.to_string()).hint(error.hint()) };
+    staged(refused, watch)
+}
+
+fn rig_failure(error: &RigError, watch: &Watch) -> JobError {
+    let code = ErrorCode::named(error.code()).unwrap_or(ErrorCode::Internal);
+    staged(JobError::new(code, error.to_string()).hint(error.hint()), watch)
+}
+
+fn staged(error: JobError, watch: &Watch) -> JobError {
+    match watch.stage() {
+        Some(stage) => error.at(stage),
+        None => error,
+    }
+}
+
+fn encode(
+    output: Output,
+    asset: &Asset,
+    rigged: &Rigged,
+    method: Method,
+    influences_max: usize,
+    facts: &serde_json::Map<String, serde_json::Value>,
+) -> Result<Artifact, JobError> {
+    let invalid = |cause: String| {
+        JobError::new(ErrorCode::OutputInvalid, format!("{} was not written: {cause}", output.name()))
+            .at(Stage::Export)
+            .hint("report this as a bug, with the file")
+    };
+    let rig = &rigged.rig;
+    let options = EncodeOptions { influences_max, ..EncodeOptions::default() };
+    let bytes = match output {
+        Output::Glb => encode_glb(asset, rig, &options).map_err(|error| invalid(error.to_string()))?,
+        Output::Gltf => encode_gltf(asset, rig, &options).map_err(|error| invalid(error.to_string()))?,
+        Output::RigJson => rig_json::write(asset, rig, method.name(), &facts.clone().into()),
+        Output::RignetTxt => rignet_text::write(asset, rig).into_bytes(),
+        Output::PreviewPng => preview::preview_png(&asset.mesh, rig, &PreviewOptions::default()),
+    };
+    Ok(Artifact { name: output.file_name().into(), media_type: output.media_type(), bytes })
+}

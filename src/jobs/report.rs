@@ -1,0 +1,205 @@
+//! What is said of a rig and of a check, in plain JSON: the `report` of `rig.json`, the `result` of a job.
+//!
+//! Nothing here depends on the clock: equal requests give equal reports.
+
+use super::engine::Upload;
+use super::options::RigOptions;
+use super::perform::{Availability, MethodInfo, ModelInfo};
+use crate::formats::{Finding, Limits, Severity};
+use crate::pipelines::{self, Facts, Method, Models, Rigged, survey};
+use serde_json::{Map, Value, json};
+
+/// The facts of a finished rig.
+pub fn facts(
+    method: Method,
+    options: &RigOptions,
+    upload: &Upload,
+    rigged: &Rigged,
+    models: &Models,
+) -> Map<String, Value> {
+    let (rig, facts) = (&rigged.rig, &rigged.facts);
+    let digests: Vec<Value> =
+        models.statuses().iter().map(|model| json!({"name": model.name, "sha256": model.sha256})).collect();
+    object(json!({
+        "method": method.name(),
+        "service_version": env!("CARGO_PKG_VERSION"),
+        "models": digests,
+        "options": {
+            "bandwidth": facts.bandwidth,
+            "max_influences": options.max_influences,
+            "symmetry": options.symmetry.name(),
+            "seed": options.seed,
+        },
+        "skeleton": {
+            "joints": rig.skeleton.joints.len(),
+            "root": rig.skeleton.joints.first().map(|joint| joint.name.clone()),
+            "depth": rig.skeleton.depth(),
+            "symmetric": facts.symmetry_plane.is_some(),
+        },
+        "skin": {
+            "vertices": rig.skin.rows.len(),
+            "max_influences": rig.skin.rows.iter().map(Vec::len).max().unwrap_or(0),
+            "unweighted": 0,
+            "by_nearest_bone": facts.vertices_by_nearest_bone,
+        },
+        "symmetry": {
+            "score": rounded(facts.symmetry_score),
+            "plane": facts.symmetry_plane.map(|(normal, point)| json!({
+                "normal": normal.to_array(), "point": point.to_array(),
+            })),
+        },
+        "orientation": orientation(upload),
+        "quality": {"joints_inside": rounded(facts.joints_inside)},
+        "working_mesh": {"vertices": facts.working_vertices, "triangles": facts.working_triangles},
+        "input": input(upload),
+        "findings": upload.findings.iter().map(finding).collect::<Vec<_>>(),
+    }))
+}
+
+/// What a check says.
+pub fn check(method: Method, options: &RigOptions, upload: &Upload) -> Map<String, Value> {
+    let survey = survey::survey(&upload.asset.mesh, upload.orientation.rotation());
+    let mut findings = upload.findings.clone();
+    let already_rigged =
+        upload.asset.existing_rig.is_some() && options.existing_rig == crate::formats::ExistingRigPolicy::Reject;
+    if already_rigged {
+        findings.push(Finding {
+            code: "already_rigged",
+            severity: Severity::Warning,
+            message: "the file is already rigged; a rig request would be refused".into(),
+            hint: "set existing_rig to replace to rig it anew".into(),
+        });
+    }
+    let riggable = match &survey {
+        Some(_) if already_rigged => "maybe",
+        Some(_) => "yes",
+        None => "no",
+    };
+    let existing = upload.asset.existing_rig;
+    object(json!({
+        "riggable": riggable,
+        "suggested_method": method.name(),
+        "symmetry": survey.as_ref().map(|survey| json!({"score": rounded(survey.symmetry_score)})),
+        "orientation": orientation(upload),
+        "input": input(upload),
+        "mesh": survey.as_ref().map(|survey| json!({
+            "components": survey.components,
+            "boundary_edges": survey.boundary_edges,
+            "nonmanifold_edges": survey.nonmanifold_edges,
+            "degenerate_faces": survey.degenerate_faces,
+            "height": survey.height,
+        })),
+        "existing": {
+            "skins": existing.map_or(0, |rig| rig.skins),
+            "joints": existing.map_or(0, |rig| rig.joints),
+        },
+        "estimate": survey.as_ref().map(|survey| json!({
+            "seconds": rounded(survey.seconds), "memory_mib": survey.memory_mib,
+        })),
+        "findings": findings.iter().map(finding).collect::<Vec<_>>(),
+    }))
+}
+
+/// What is worth telling about the rig besides its facts.
+pub fn findings(rigged: &Rigged) -> Vec<Finding> {
+    let Facts { vertices_by_nearest_bone, joints_inside, .. } = rigged.facts;
+    let mut findings = Vec::new();
+    if vertices_by_nearest_bone > 0 {
+        findings.push(Finding {
+            code: "vertices_by_nearest_bone",
+            severity: Severity::Info,
+            message: format!(
+                "{vertices_by_nearest_bone} vertices got no weights of their own and follow the nearest bone"
+            ),
+            hint: "check these parts in a pose".into(),
+        });
+    }
+    if joints_inside < JOINTS_INSIDE_USUAL {
+        findings.push(Finding {
+            code: "joints_outside",
+            severity: Severity::Warning,
+            message: format!("only {:.0} % of the joints lie inside the mesh", joints_inside * 100.0),
+            hint: "check the skeleton; another `detail` may place it better".into(),
+        });
+    }
+    findings
+}
+
+/// Below this share of joints inside the solid a rig deserves a look. Artists' rigs of the validation characters have
+/// their joints inside but for ends of ears, feet and props.
+const JOINTS_INSIDE_USUAL: f64 = 0.7;
+
+/// A method as the service lists it.
+pub fn method_info(method: Method, models: &Models, limits: &Limits) -> MethodInfo {
+    let (title, description) = match method {
+        Method::RigNet => (
+            "RigNet",
+            "Skeleton and skin weights for any character, by mesh graph networks [Xu et al. 2020, Neural Rigging for \
+             Articulated Characters]",
+        ),
+    };
+    let models_of_method = models.statuses().iter().filter(|model| model.name.starts_with(method.name()));
+    MethodInfo {
+        name: method.name().into(),
+        title: title.into(),
+        description: description.into(),
+        availability: match pipelines::unavailable(method, models) {
+            None => Availability::Available,
+            Some(reason) => Availability::Unavailable { reason },
+        },
+        licence: models.licence().weights.clone(),
+        models: models_of_method
+            .map(|model| ModelInfo {
+                name: model.name.into(),
+                sha256: model.sha256.clone(),
+                self_test: model.failure.clone().unwrap_or_else(|| "passed".into()),
+            })
+            .collect(),
+        limits: vec![
+            ("bytes", limits.bytes_max),
+            ("vertices", limits.vertices_max as u64),
+            ("faces", limits.faces_max as u64),
+            ("nodes", limits.nodes_max as u64),
+            ("unzip_ratio", limits.unzip_ratio_max),
+        ],
+    }
+}
+
+fn orientation(upload: &Upload) -> Value {
+    json!({
+        "up": upload.orientation.up.to_array(),
+        "front": upload.orientation.front.to_array(),
+        "given": upload.orientation_given,
+        "confidence": rounded(upload.orientation.confidence),
+    })
+}
+
+fn input(upload: &Upload) -> Value {
+    let asset = &upload.asset;
+    json!({
+        "format": asset.format.name(),
+        "vertices": asset.mesh.positions.len(),
+        "faces": asset.mesh.triangles.len(),
+        "primitives": asset.parts.len(),
+    })
+}
+
+fn finding(finding: &Finding) -> Value {
+    let severity = match finding.severity {
+        Severity::Info => "info",
+        Severity::Warning => "warning",
+    };
+    json!({"code": finding.code, "severity": severity, "message": finding.message, "hint": finding.hint})
+}
+
+/// Three decimals: more would claim a precision that scores do not have.
+fn rounded(value: f64) -> f64 {
+    (value * 1000.0).round() / 1000.0
+}
+
+fn object(value: Value) -> Map<String, Value> {
+    match value {
+        Value::Object(fields) => fields,
+        _ => Map::new(),
+    }
+}
