@@ -129,26 +129,24 @@ fn find_joints(
     options: &RigOptions,
     watch: Watch,
 ) -> Result<DetectedJoints, RigError> {
-    let (mut displaced, mut attention) = evidence(graph, nets, watch)?;
+    let mut vertices = shape.mesh.positions.clone();
+    let (mut displaced, mut attention) = asked(graph, nets, watch)?;
     if let Some(plane) = plane {
-        // The mirror image of a symmetric character is the same character, but not to the networks. The mean of what they
-        // say of both favours no side, and makes the rig of a mirrored upload the mirrored rig.
-        let images: Vec<DVec3> = shape.mesh.positions.iter().map(|&position| plane.reflect(position)).collect();
-        let (displaced_images, attention_images) = evidence(&graph.moved(points_f32(&images)), nets, watch)?;
-        for (point, image) in displaced.iter_mut().zip(displaced_images) {
-            *point = (*point + plane.reflect(image)) * 0.5;
-        }
-        for (value, image) in attention.iter_mut().zip(attention_images) {
-            *value = (*value + image) * 0.5;
-        }
+        // The mirror image of a symmetric character is the same character, but not to the networks. What they say of it
+        // counts as much as what they say of the character: no side is favoured, and a mirrored upload gets the mirrored rig.
+        let images: Vec<DVec3> = vertices.iter().map(|&vertex| plane.reflect(vertex)).collect();
+        let (displaced_images, attention_of_images) = asked(&graph.moved(points_f32(&images)), nets, watch)?;
+        vertices.extend_from_within(..);
+        displaced.extend(displaced_images.into_iter().map(|image| plane.reflect(image)));
+        attention.extend(attention_of_images);
     }
     watch.cancellation.check()?;
-    let evidence = Evidence { vertices: &shape.mesh.positions, displaced: &displaced, attention: &attention };
+    let evidence = Evidence { vertices: &vertices, displaced: &displaced, attention: &attention };
     Ok(detect_joints(&evidence, Some(&shape.solid), plane, options.level_of_detail, watch.cancellation)?)
 }
 
 /// Displaced vertices `[V, 3]` and attention `[V]`.
-fn evidence(graph: &ShapeGraph, nets: &RigNets, watch: Watch) -> Result<(Vec<DVec3>, Vec<f64>), RigError> {
+fn asked(graph: &ShapeGraph, nets: &RigNets, watch: Watch) -> Result<(Vec<DVec3>, Vec<f64>), RigError> {
     let displaced = points(nets.displaced(graph, watch.cancellation)?.view());
     let attention = nets.attention(graph, watch.cancellation)?;
     Ok((displaced, attention.into_iter().map(f64::from).collect()))

@@ -64,7 +64,7 @@ pub fn normalised(mesh: &Mesh, normalization: &Normalization) -> Mesh {
 
 /// CPU-seconds and MiB of one job: a fit to the table of `docs/performance.md`.
 fn estimate(working_vertices: usize, upload_triangles: usize) -> (f64, u64) {
-    let seconds = 0.05 + 0.000_25 * working_vertices as f64 + 3e-6 * upload_triangles as f64;
+    let seconds = 0.08 + 0.000_28 * working_vertices as f64 + 3e-6 * upload_triangles as f64;
     let memory_mib = 160 + working_vertices as u64 / 45 + upload_triangles as u64 / 3_000;
     (seconds, memory_mib)
 }
