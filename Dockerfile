@@ -18,6 +18,7 @@ COPY src src
 # Cargo wants every target of the manifest to exist, also those that are not built here.
 COPY benches benches
 COPY examples examples
+COPY fuzz/seeds.rs fuzz/seeds.rs
 RUN cargo build --release --locked --bin rigsmith
 
 FROM debian:bookworm-slim
@@ -34,7 +35,7 @@ COPY models/artifacts /usr/local/share/rigsmith/models
 COPY --from=build /rigsmith/target/release/rigsmith /usr/local/bin/rigsmith
 USER rigsmith
 WORKDIR /var/lib/rigsmith
-ENV RIGSMITH_LISTEN=0.0.0.0:8080 RIGSMITH_DATA=/var/lib/rigsmith/data
+ENV ORT_DISABLE_TELEMETRY=1 RIGSMITH_LISTEN=0.0.0.0:8080 RIGSMITH_DATA=/var/lib/rigsmith/data
 EXPOSE 8080
 VOLUME /var/lib/rigsmith
 HEALTHCHECK --interval=10s --timeout=5s --start-period=30s --retries=3 \

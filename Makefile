@@ -47,16 +47,16 @@ check: ## only the quick part: formatting and lints
 	$(CARGO) clippy --release --all-targets --locked -- -D warnings
 
 .PHONY: outputs
-outputs: build python-packages ## rig every case of the checks into target/checks/outputs
+outputs: checked-programs python-packages ## rig every case of the checks into target/checks/outputs
 	$(VENV)/bin/python $(CHECKS)/rig_cases.py $(OUTPUTS)
 
 .PHONY: contact-sheet
-contact-sheet: build python-packages ## draw the produced rigs on one sheet, target/checks/contact-sheet.png
+contact-sheet: checked-programs python-packages ## draw the produced rigs on one sheet, target/checks/contact-sheet.png
 	$(VENV)/bin/python $(CHECKS)/rig_cases.py --previews $(OUTPUTS)
 	$(VENV)/bin/python $(CHECKS)/contact_sheet.py $(OUTPUTS) target/checks/contact-sheet.png
 
 .PHONY: check-blender
-check-blender: build python-packages ## load and pose the produced files in Blender (fetches about 1 GB; needs Python 3.11)
+check-blender: checked-programs python-packages ## load and pose the produced files in Blender (fetches about 1 GB; needs Python 3.11)
 	$(VENV)/bin/python $(CHECKS)/rig_cases.py $(OUTPUTS)
 	@$(CHECKS)/blender-venv.sh target/checks/blender-venv
 	target/checks/blender-venv/bin/python $(CHECKS)/blender.py $(OUTPUTS)
@@ -69,7 +69,8 @@ fuzz: ## every decoder under the fuzzer for MINUTES each (needs cargo-fuzz)
 
 .PHONY: bench
 bench: ort ## time and memory per stage, beside this machine's matrix-product rate
-	$(CARGO) bench --locked
+	$(CARGO) bench --locked --bench pipeline
+	$(CARGO) bench --locked --bench geometry --bench rig
 
 # ---- networks (models/README.md; these need PyTorch) ------------------------------------------------------------------
 
@@ -87,6 +88,11 @@ evaluate: ## measure the exported networks on held-out characters
 	$(PYTHON) models/evaluate.py
 
 # ---- what the checks stand on -----------------------------------------------------------------------------------------
+
+# The program and the examples as the tests build them (with the features that the tests' own dependencies ask for).
+.PHONY: checked-programs
+checked-programs: ort
+	$(CARGO) build --release --locked --bins --examples
 
 .PHONY: python-packages
 python-packages: $(VENV)/.installed

@@ -90,7 +90,7 @@ fn main() {
     let samples = timed("surface samples", &mut total, || SurfaceSamples::new(mesh, SAMPLE_COUNT));
     let geodesic = timed("sample graph", &mut total, || SurfaceGeodesic::new(&samples, &mesh.positions));
     let balls = timed("balls", &mut total, || geodesic.balls(BALL_RADIUS));
-    timed("ball table", &mut total, || NeighborTable::capped(&balls, GEODESIC_CAP, &mesh.positions));
+    timed("ball table", &mut total, || NeighborTable::capped(&balls, GEODESIC_CAP, &mesh.positions, 0));
     let solid = timed("voxels", &mut total, || VoxelGrid::solid(mesh));
     let plane = timed("symmetry plane", &mut total, || detect_symmetry_plane(&samples, &surface));
     timed("bone pairs", &mut total, || {

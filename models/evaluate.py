@@ -18,14 +18,15 @@ import onnxruntime
 
 from rigsmith_models.data import read_cache
 from rigsmith_models.evaluation import stages
-from rigsmith_models.evaluation.clustering import Clustering
+from rigsmith_models.evaluation.clustering import Clustering, modes_of, shifted
 from rigsmith_models.evaluation.metrics import bootstrap_interval
 
 ARTIFACTS = Path(__file__).parent / "artifacts"
 MANIFEST = ARTIFACTS / "manifest.json"
-BANDWIDTHS = (0.03, 0.04, 0.05, 0.06)
-DENSITIES = (0.01, 0.02)
+BANDWIDTHS = (0.04, 0.05)
+DENSITIES = (0.003, 0.005, 0.007, 0.01)
 ATTENTION_POWERS = (1.0, 2.0)
+CD_WEIGHT = 2.0
 JOINT_RATIOS = (0.7, 1.4)  # predicted / reference joint count that a calibrated setting must keep
 
 
@@ -52,15 +53,21 @@ def summary(columns: dict[str, np.ndarray], digits: int = 4) -> dict:
 
 
 def calibrated(characters, predictions) -> tuple[Clustering, list[dict]]:
-    """The setting with the best IoU among those whose joint count is near the reference's, and the whole grid."""
+    """The best setting among those whose joint count is near the reference's, and the whole grid.
+
+    Best: IoU - CD_WEIGHT x CD-J2J. IoU alone prefers few sure joints.
+    """
     grid = []
-    for bandwidth, density, power in itertools.product(BANDWIDTHS, DENSITIES, ATTENTION_POWERS):
-        settings = replace(Clustering(), bandwidth=bandwidth, density_min=density, attention_power=power)
-        figures = {k: float(v.mean()) for k, v in stages.joint_stage(characters, predictions, settings).items()}
-        grid.append({"settings": settings, **figures})
+    for bandwidth, power in itertools.product(BANDWIDTHS, ATTENTION_POWERS):
+        shift = replace(Clustering(), bandwidth=bandwidth, attention_power=power)
+        clouds = [shifted(c.positions + d, np.linalg.norm(d, axis=1), a, shift) for c, (d, a) in zip(characters, predictions)]
+        for density in DENSITIES:
+            settings = replace(shift, density_min=density)
+            figures = stages.columns([stages.joint_row(c, modes_of(cloud, settings)) for c, cloud in zip(characters, clouds)])
+            grid.append({"settings": settings, **{k: float(v.mean()) for k, v in figures.items()}})
     ratio = {id(g): g["joints"] / g["joints_reference"] for g in grid}
     allowed = [g for g in grid if JOINT_RATIOS[0] <= ratio[id(g)] <= JOINT_RATIOS[1]] or grid
-    return max(allowed, key=lambda g: g["iou"] - g["cd_j2j"])["settings"], grid
+    return max(allowed, key=lambda g: g["iou"] - CD_WEIGHT * g["cd_j2j"])["settings"], grid
 
 
 def calibration_entry(settings: Clustering, tuned_on: str) -> dict:

@@ -60,7 +60,7 @@ pub struct ServeConfig {
     pub log_format: LogFormat,
 
     /// What is logged, as in `info` or `rigsmith=debug,warn`
-    #[arg(long, env = "RIGSMITH_LOG", value_name = "FILTER", default_value = "info")]
+    #[arg(long, env = "RIGSMITH_LOG", value_name = "FILTER", default_value = "info,ort=warn")]
     pub log: String,
 }
 

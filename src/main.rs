@@ -3,5 +3,8 @@
 mod cli;
 
 fn main() -> std::process::ExitCode {
+    // ONNX Runtime's published builds report usage over the network unless this is set before the library is loaded.
+    // SAFETY: no other thread runs yet, so nobody reads the environment while it changes.
+    unsafe { std::env::set_var("ORT_DISABLE_TELEMETRY", "1") };
     cli::run()
 }

@@ -1,6 +1,5 @@
 //! A bounding volume hierarchy over the triangles of a mesh: ray hits and nearest surface points.
-//! Binned surface-area heuristic [Wald 2007]; ray-triangle test of [Möller and Trumbore 1997]; nearest point on a
-//! triangle by its Voronoi regions [Ericson 2005, Section 5.1.5].
+//! Binned surface-area heuristic [Wald 2007].
 //!
 //! | in     | shape              | unit                |
 //! |--------|--------------------|---------------------|
@@ -8,6 +7,7 @@
 //!
 //! Bounds are single precision rounded outward, triangles double precision, so no hit is lost to rounding of bounds.
 
+use super::triangle::Triangle;
 use crate::mesh::Mesh;
 use glam::DVec3;
 
@@ -46,22 +46,12 @@ struct Node {
     count: u32,
 }
 
-#[derive(Clone, Copy)]
-struct Triangle {
-    corner: DVec3,
-    edge_1: DVec3,
-    edge_2: DVec3,
-}
-
 /// Leaves hold at most this many triangles (more only where they all lie at one place).
 const LEAF_MAX: usize = 4;
 const BINS: usize = 12;
 /// From this depth on nodes are halved by count, which bounds the depth by this plus log2 F.
 const DEPTH_SAH: u32 = 30;
 const STACK: usize = 64;
-/// Rays meet an edge from either side: a ray through an edge shared by two triangles never slips between them.
-const EDGE_SLACK: f64 = 1e-9;
-
 impl Bvh {
     pub fn new(mesh: &Mesh) -> Self {
         let mut items: Vec<Item> = (0..mesh.triangles.len()).map(|index| Item::new(mesh, index)).collect();
@@ -85,10 +75,7 @@ impl Bvh {
                 nodes[node] = Node { low, high, first: first as u32, count: count as u32 };
             }
         }
-        let triangles = items.iter().map(|item| {
-            let [corner, b, c] = mesh.corners(item.index as usize);
-            Triangle { corner, edge_1: b - corner, edge_2: c - corner }
-        });
+        let triangles = items.iter().map(|item| Triangle::new(mesh.corners(item.index as usize)));
         Self { nodes, triangles: triangles.collect(), index_in_mesh: items.iter().map(|item| item.index).collect() }
     }
 
@@ -211,11 +198,6 @@ impl Bvh {
     }
 }
 
-/// The nearest point of a triangle and its barycentric weights, in the order of the corners.
-pub fn nearest_on_triangle([a, b, c]: [DVec3; 3], point: DVec3) -> (DVec3, [f64; 3]) {
-    Triangle { corner: a, edge_1: b - a, edge_2: c - a }.nearest(point)
-}
-
 /// A triangle while the tree is built.
 struct Item {
     low: DVec3,
@@ -302,64 +284,6 @@ impl Node {
     }
 }
 
-impl Triangle {
-    fn ray(&self, origin: DVec3, direction: DVec3) -> Option<f64> {
-        let across = direction.cross(self.edge_2);
-        let determinant = self.edge_1.dot(across);
-        if determinant == 0.0 {
-            return None;
-        }
-        let inverse = determinant.recip();
-        let from_corner = origin - self.corner;
-        let u = from_corner.dot(across) * inverse;
-        if !(-EDGE_SLACK..=1.0 + EDGE_SLACK).contains(&u) {
-            return None;
-        }
-        let turned = from_corner.cross(self.edge_1);
-        let v = direction.dot(turned) * inverse;
-        if !(v >= -EDGE_SLACK && u + v <= 1.0 + EDGE_SLACK) {
-            return None;
-        }
-        let t = self.edge_2.dot(turned) * inverse;
-        (t >= 0.0).then_some(t)
-    }
-
-    /// Nearest point and its barycentric weights (corner, end of edge 1, end of edge 2).
-    fn nearest(&self, point: DVec3) -> (DVec3, [f64; 3]) {
-        let (ab, ac, ap) = (self.edge_1, self.edge_2, point - self.corner);
-        let (d1, d2) = (ab.dot(ap), ac.dot(ap));
-        let at = |v: f64, w: f64| (self.corner + ab * v + ac * w, [(1.0 - v - w).max(0.0), v, w]);
-        if d1 <= 0.0 && d2 <= 0.0 {
-            return at(0.0, 0.0);
-        }
-        let bp = ap - ab;
-        let (d3, d4) = (ab.dot(bp), ac.dot(bp));
-        if d3 >= 0.0 && d4 <= d3 {
-            return at(1.0, 0.0);
-        }
-        let vc = d1 * d4 - d3 * d2;
-        if vc <= 0.0 && d1 >= 0.0 && d3 <= 0.0 {
-            return at(d1 / (d1 - d3), 0.0);
-        }
-        let cp = ap - ac;
-        let (d5, d6) = (ab.dot(cp), ac.dot(cp));
-        if d6 >= 0.0 && d5 <= d6 {
-            return at(0.0, 1.0);
-        }
-        let vb = d5 * d2 - d1 * d6;
-        if vb <= 0.0 && d2 >= 0.0 && d6 <= 0.0 {
-            return at(0.0, d2 / (d2 - d6));
-        }
-        let va = d3 * d6 - d5 * d4;
-        if va <= 0.0 && d4 >= d3 && d5 >= d6 {
-            let w = (d4 - d3) / ((d4 - d3) + (d5 - d6));
-            return at(1.0 - w, w);
-        }
-        let all = va + vb + vc;
-        if all > 0.0 { at(vb / all, vc / all) } else { at(0.0, 0.0) }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -367,10 +291,8 @@ mod tests {
     use proptest::prelude::*;
 
     fn brute_first(mesh: &Mesh, origin: DVec3, direction: DVec3) -> Option<f64> {
-        let hits = (0..mesh.triangles.len()).filter_map(|face| {
-            let [a, b, c] = mesh.corners(face);
-            Triangle { corner: a, edge_1: b - a, edge_2: c - a }.ray(origin, direction)
-        });
+        let hits =
+            (0..mesh.triangles.len()).filter_map(|face| Triangle::new(mesh.corners(face)).ray(origin, direction));
         hits.min_by(f64::total_cmp)
     }
 
@@ -388,7 +310,7 @@ mod tests {
                 prop_assert_eq!(surface.any_hit(from, direction, limit), first.is_some_and(|t| t <= limit));
             }
             let nearest = surface.nearest_point(from).unwrap();
-            let all = (0..mesh.triangles.len()).map(|face| nearest_on_triangle(mesh.corners(face), from).0.distance(from));
+            let all = (0..mesh.triangles.len()).map(|face| Triangle::new(mesh.corners(face)).nearest(from).0.distance(from));
             prop_assert!((nearest.distance - all.fold(f64::INFINITY, f64::min)).abs() < 1e-15);
             let corners = mesh.corners(nearest.triangle as usize);
             let blended: DVec3 = corners.iter().zip(nearest.barycentric).map(|(&corner, weight)| corner * weight).sum();

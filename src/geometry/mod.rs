@@ -14,5 +14,6 @@ pub mod surface_geodesic;
 pub mod surface_samples;
 pub mod symmetry_plane;
 pub mod transfer;
+pub mod triangle;
 pub mod volumetric_geodesic;
 pub mod voxel_grid;

@@ -7,7 +7,7 @@
 //! - At most `cap` members of a geodesic ball are chosen by a fixed hash, where the published code draws them at random.
 //! - The cap is on the vertices that a vertex pools *from*. The published code caps how many vertices pool from it.
 
-use super::place_hash::mix;
+use super::place_hash::{mix, place_hash};
 use crate::mesh::adjacency::Neighbors;
 use glam::DVec3;
 
@@ -35,12 +35,13 @@ impl NeighborTable {
 
     /// At most `cap` members of every row, ascending: those in the rings around the vertex ([`RING`] wide) that a fixed hash
     /// ranks first, nearer before farther within a ring. The choice depends on distances alone, so it is the same however the
-    /// shape is turned, mirrored or numbered. `positions` `[V, 3]`, normalised.
+    /// shape is turned, mirrored or numbered; another `seed` makes another choice. `positions` `[V, 3]`, normalised.
     ///
     /// The networks are sensitive to this choice: another random ten moved displaced points by 2 % of the longest side on
     /// average (sample character, 4,007 vertices), so it must not change with the frame.
-    pub fn capped(neighbors: &Neighbors, cap: usize, positions: &[DVec3]) -> Self {
-        let mut ranked: Vec<(u64, u64, u32)> = Vec::new();
+    pub fn capped(neighbors: &Neighbors, cap: usize, positions: &[DVec3], seed: u64) -> Self {
+        let places: Vec<u64> = positions.iter().map(|&position| place_hash(position)).collect();
+        let mut ranked: Vec<(u64, u64, u64, u32)> = Vec::new();
         Self::filled(neighbors.vertex_count(), cap, |vertex, row| {
             let all = neighbors.row(vertex);
             if all.len() <= cap {
@@ -50,11 +51,12 @@ impl NeighborTable {
             ranked.clear();
             ranked.extend(all.iter().map(|&member| {
                 let distance = positions[vertex].distance(positions[member as usize]);
-                // Not negative, so the bits sort as the numbers do.
-                (mix((distance / RING) as u64), distance.to_bits(), member)
+                let ring = mix((distance / RING) as u64 ^ seed.rotate_left(32));
+                // Not negative, so the bits sort as the numbers do. Equal distances are told apart by place.
+                (ring, distance.to_bits(), places[member as usize], member)
             }));
             ranked.select_nth_unstable(cap);
-            row.extend(ranked[..cap].iter().map(|&(_, _, member)| member));
+            row.extend(ranked[..cap].iter().map(|&(_, _, _, member)| member));
             row.sort_unstable();
         })
     }
@@ -101,13 +103,13 @@ mod tests {
         let mesh = torus(0.4, 0.15, 60);
         let geodesic = SurfaceGeodesic::new(&SurfaceSamples::new(&mesh, 4_000), &mesh.positions);
         let balls = geodesic.balls(BALL_RADIUS);
-        let table = NeighborTable::capped(&balls, 4, &mesh.positions);
+        let table = NeighborTable::capped(&balls, 4, &mesh.positions, 0);
         // The same places in reverse order.
         let last = mesh.positions.len() as u32 - 1;
         let rows: Vec<Vec<u32>> =
             (0..=last).map(|v| balls.row((last - v) as usize).iter().map(|member| last - member).collect()).collect();
         let reversed: Vec<DVec3> = mesh.positions.iter().rev().copied().collect();
-        let mirrored = NeighborTable::capped(&Neighbors::from_rows(&rows), 4, &reversed);
+        let mirrored = NeighborTable::capped(&Neighbors::from_rows(&rows), 4, &reversed, 0);
         for vertex in 0..mesh.positions.len() {
             let row = table.row(vertex);
             assert_eq!(row[0], vertex as i64);

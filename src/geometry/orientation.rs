@@ -210,13 +210,17 @@ mod tests {
     /// A standing figure, +y up, facing +z: legs with toes forward, body, arms out, head.
     fn figure() -> Mesh {
         let limb = |x: f64| tube(DVec3::new(x, 0.05, 0.0), 0.06, 0.42, 16, 8);
-        let foot = |x: f64| sphere(DVec3::new(x, 0.06, 0.07), 0.06, 16);
+        let foot = |x: f64| {
+            let mut foot = sphere(DVec3::ZERO, 0.06, 16);
+            foot.positions.iter_mut().for_each(|p| *p = DVec3::new(p.x + x, 0.5 * p.y + 0.03, 2.0 * p.z + 0.06));
+            foot
+        };
         let mut arms = tube(DVec3::Y * -0.45, 0.045, 0.9, 12, 12);
         arms.positions.iter_mut().for_each(|p| *p = DVec3::new(p.y, p.x + 0.75, -p.z));
         let mut chest = tube(DVec3::Y * 0.45, 0.13, 0.38, 20, 8);
         chest.positions.iter_mut().for_each(|p| p.z *= 0.6);
         let head = sphere(DVec3::new(0.0, 0.91, 0.02), 0.09, 16);
-        joined(&[limb(0.09), limb(-0.09), foot(0.09), foot(-0.09), arms, chest, head])
+        joined(&[limb(0.15), limb(-0.15), foot(0.15), foot(-0.15), arms, chest, head])
     }
 
     #[test]

@@ -12,7 +12,8 @@
 //! body does not take the body's weights. Only a vertex that no face uses, or whose part was simplified away as a
 //! whole, goes straight to the nearest surface point.
 
-use super::bvh::{Bvh, nearest_on_triangle};
+use super::bvh::Bvh;
+use super::triangle::Triangle;
 use crate::mesh::Mesh;
 use crate::mesh::adjacency::{Neighbors, one_ring};
 use crate::mesh::working_mesh::WorkingMesh;
@@ -112,7 +113,7 @@ impl Surroundings {
         let mut look_around = |vertices: &[u32]| {
             let before = best.map(|(rank, _)| rank);
             for face in vertices.iter().flat_map(|&vertex| self.faces.row(vertex as usize)).copied() {
-                let (point, weights) = nearest_on_triangle(mesh.corners(face as usize), position);
+                let (point, weights) = Triangle::new(mesh.corners(face as usize)).nearest(position);
                 let away = mesh.area_normal(face as usize).dot(normal) < 0.0;
                 let rank = (away, point.distance_squared(position), face);
                 if best.is_none_or(|(known, _)| rank < known) {

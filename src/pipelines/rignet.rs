@@ -35,7 +35,7 @@ pub fn rig(subject: Subject, nets: &RigNets, options: &RigOptions, watch: Watch)
 
     watch.enter(Stage::Geometry)?;
     let shape = Shape::new(subject.working.mesh.clone());
-    let graph = shape.graph();
+    let graph = shape.graph(options.seed);
     let plane = mirror_plane(&shape.symmetry, options.symmetry);
 
     watch.enter(Stage::Joints)?;

@@ -39,13 +39,14 @@ impl Shape {
         Self { mesh, one_ring, geodesic_ball, surface_distance, surface, solid, symmetry }
     }
 
-    /// What the networks see: all one-ring neighbours, and at most [`GEODESIC_CAP`] of the geodesic ball.
-    pub fn graph(&self) -> ShapeGraph {
+    /// What the networks see: all one-ring neighbours, and at most [`GEODESIC_CAP`] of the geodesic ball, which `seed`
+    /// chooses.
+    pub fn graph(&self, seed: u64) -> ShapeGraph {
         let positions = &self.mesh.positions;
         ShapeGraph {
             positions: points_f32(positions),
             one_ring: table(NeighborTable::padded(&self.one_ring)),
-            geodesic_ball: table(NeighborTable::capped(&self.geodesic_ball, GEODESIC_CAP, positions)),
+            geodesic_ball: table(NeighborTable::capped(&self.geodesic_ball, GEODESIC_CAP, positions, seed)),
         }
     }
 

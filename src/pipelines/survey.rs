@@ -62,9 +62,9 @@ pub fn normalised(mesh: &Mesh, normalization: &Normalization) -> Mesh {
     }
 }
 
-/// Seconds and MiB of one job. The coefficients are fitted to `make bench`; see `docs/performance.md`.
+/// CPU-seconds and MiB of one job: a fit to the table of `docs/performance.md`.
 fn estimate(working_vertices: usize, upload_triangles: usize) -> (f64, u64) {
-    let seconds = 0.3 + 0.0006 * working_vertices as f64 + 4e-6 * upload_triangles as f64;
-    let memory_mib = 120 + working_vertices as u64 / 20 + upload_triangles as u64 / 2_000;
+    let seconds = 0.05 + 0.000_25 * working_vertices as f64 + 3e-6 * upload_triangles as f64;
+    let memory_mib = 160 + working_vertices as u64 / 45 + upload_triangles as u64 / 3_000;
     (seconds, memory_mib)
 }

@@ -136,7 +136,7 @@ fn golden_ball_members_agree() {
 fn golden_capped_table_follows_the_sampling_rule() {
     for case in cases() {
         let balls = geodesic(&case).balls(BALL_RADIUS);
-        let table = NeighborTable::capped(&balls, GEODESIC_CAP, &case.points("vertices"));
+        let table = NeighborTable::capped(&balls, GEODESIC_CAP, &case.points("vertices"), 0);
         let mut golden_counts = vec![0usize; table.vertex_count];
         for edge in case.ints("geo_edges_sampled").chunks_exact(2) {
             golden_counts[edge[0] as usize] += 1;

@@ -9,4 +9,5 @@ mod golden_nets;
 mod golden_rig;
 mod http;
 mod metamorphic;
+mod pipeline;
 mod program;

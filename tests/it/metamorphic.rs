@@ -25,7 +25,7 @@ const EXACT: Bound = Bound { joints: 1e-3, skin: 0.1 };
 /// of its members. The networks of today are sensitive to that. Better trained ones should bring this down to [`EXACT`].
 const TURNED: Bound = Bound { joints: 0.03, skin: 0.5 };
 
-fn models() -> &'static Models {
+pub fn models() -> &'static Models {
     static MODELS: OnceLock<Models> = OnceLock::new();
     MODELS.get_or_init(|| {
         let options = LoadOptions { onnxruntime: None, models: None, threads: 2 };
@@ -33,7 +33,7 @@ fn models() -> &'static Models {
     })
 }
 
-fn character() -> &'static Mesh {
+pub fn character() -> &'static Mesh {
     static MESH: OnceLock<Mesh> = OnceLock::new();
     MESH.get_or_init(|| {
         let bytes = std::fs::read(sample()).expect("sample reads");

@@ -207,3 +207,20 @@ fn more_detail_never_gives_fewer_joints() {
         last = joints;
     }
 }
+
+#[test]
+fn the_runtime_reports_nothing_and_leaves_nothing_in_the_home_folder() {
+    let (folder, home) = (tempfile::tempdir().expect("folder"), tempfile::tempdir().expect("home"));
+    let output = Command::new(env!("CARGO_BIN_EXE_rigsmith"))
+        .arg("methods")
+        .current_dir(folder.path())
+        .env("HOME", home.path())
+        .env_remove("XDG_CACHE_HOME")
+        .env_remove("ORT_DISABLE_TELEMETRY")
+        .output()
+        .expect("the program starts");
+    succeeded(&output);
+    let left: Vec<_> =
+        std::fs::read_dir(home.path()).expect("home").map(|entry| entry.expect("entry").path()).collect();
+    assert!(left.is_empty(), "{left:?}");
+}

@@ -28,8 +28,18 @@ def squared_distances(points: np.ndarray, others: np.ndarray) -> np.ndarray:
     return np.maximum((points**2).sum(1)[:, None] + (others**2).sum(1) - 2 * points @ others.T, 0)
 
 
-def joints_of(points, displacement_length, attention, settings: Clustering) -> np.ndarray:
-    """points: (V, 3) = positions + displacement, displacement_length: (V,), attention: (V,) in (0, 1) -> (J, 3).
+@dataclass
+class Shifted:
+    """Points after the mean shift, each followed in the second half by its mirror image."""
+
+    points: np.ndarray  # (2M, 3)
+    weight: np.ndarray  # (2M,) attention
+    moved: np.ndarray  # (2M,) length of the displacement
+    density: np.ndarray  # (2M,) as a part of the total attention
+
+
+def shifted(points, displacement_length, attention, settings: Clustering) -> Shifted:
+    """Eq. 6. points: (V, 3) = positions + displacement, displacement_length: (V,), attention: (V,) in (0, 1).
 
     Every point has a mirror image with the same attention. The images stay images through the mean shift, so only the
     points themselves are moved.
@@ -38,10 +48,7 @@ def joints_of(points, displacement_length, attention, settings: Clustering) -> n
     attention = (attention - attention.min()) / spread if spread > 1e-6 else np.ones_like(attention)
     attention = attention**settings.attention_power
     kept = attention > settings.attention_min
-    if not kept.any():
-        return np.zeros((0, 3), np.float32)
     points = points[kept].astype(np.float32)
-    length = np.tile(displacement_length[kept], 2)
     weight = np.tile(attention[kept], 2).astype(np.float32)
     squared_bandwidth = np.float32(settings.bandwidth**2)
     for _ in range(settings.steps):
@@ -51,17 +58,26 @@ def joints_of(points, displacement_length, attention, settings: Clustering) -> n
         points = points + np.float32(settings.step_length) * (mean - points)
     both = np.concatenate([points, points * MIRROR])
     density = (np.maximum(1 - squared_distances(points, both) / squared_bandwidth, 0) * weight).sum(1) / weight.sum()
-    density = np.tile(density, 2)
-    alive, modes = density > settings.density_min, []
-    for i in np.argsort(-density, kind="stable"):
+    return Shifted(both, weight, np.tile(displacement_length[kept], 2), np.tile(density, 2))
+
+
+def modes_of(cloud: Shifted, settings: Clustering) -> np.ndarray:
+    """Densest first; a mode suppresses its neighbourhood -> joints (J, 3), those near the mirror plane snapped to it."""
+    alive, modes = cloud.density > settings.density_min, []
+    for i in np.argsort(-cloud.density, kind="stable"):
         if not alive[i]:
             continue
         modes.append(i)
-        squared = squared_distances(both[i : i + 1], both)[0]
-        near = squared < squared_bandwidth
-        moved = (weight[near] * length[near]).sum() / weight[near].sum()
+        squared = squared_distances(cloud.points[i : i + 1], cloud.points)[0]
+        near = squared < settings.bandwidth**2
+        moved = (cloud.weight[near] * cloud.moved[near]).sum() / max(cloud.weight[near].sum(), 1e-12)
         alive &= squared > max(settings.bandwidth, settings.suppression * moved) ** 2
         alive[i] = False
-    joints = both[modes]
+    joints = cloud.points[modes]
     joints[np.abs(joints[:, 0]) < settings.middle, 0] = 0
     return joints
+
+
+def joints_of(points, displacement_length, attention, settings: Clustering) -> np.ndarray:
+    """Displaced points with their attention -> (J, 3)."""
+    return modes_of(shifted(points, displacement_length, attention, settings), settings)
