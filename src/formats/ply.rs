@@ -65,6 +65,7 @@ struct Contents {
     corners: Vec<u32>,
     corner_counts: Vec<u32>,
     degenerate_polygons: usize,
+    has_face_coordinates: bool,
 }
 
 /// Where a vertex property goes: one of twelve slots, by the names that programs write.
@@ -157,6 +158,7 @@ impl Contents {
     }
 
     fn read_faces(&mut self, element: &Element, reader: &mut Reader, limits: &Limits) -> Result<(), DecodeError> {
+        self.has_face_coordinates |= element.properties.iter().any(|property| property.name == "texcoord");
         let is_corners = |property: &Property| ["vertex_indices", "vertex_index"].contains(&property.name.as_str());
         let mut triangle_count = self.corner_counts.iter().map(|&count| u64::from(count) - 2).sum::<u64>();
         for _ in 0..element.count {
@@ -193,6 +195,14 @@ impl Contents {
                 severity: Severity::Info,
                 message: format!("{} faces of fewer than three corners were left out", self.degenerate_polygons),
                 hint: String::new(),
+            });
+        }
+        if self.has_face_coordinates {
+            findings.push(Finding {
+                code: "face_texture_coordinates",
+                severity: Severity::Warning,
+                message: "texture coordinates that faces carry were left out; only those of vertices are read".into(),
+                hint: "send the mesh as OBJ with its material library, or as GLB".into(),
             });
         }
         self.repair_normals(&triangles);

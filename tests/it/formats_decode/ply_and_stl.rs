@@ -38,6 +38,17 @@ fn ply_refuses_what_its_header_cannot_mean() {
 }
 
 #[test]
+fn ply_texture_coordinates_of_faces_are_left_out_with_a_word() {
+    let text = String::from_utf8(ascii_ply()).expect("text");
+    let text = text.replace("end_header", "property list uchar float texcoord\nend_header").replace("\n3 ", "\n3  ");
+    let lines: Vec<String> =
+        text.lines().map(|line| if line.starts_with("3  ") { format!("{line} 2 0 1") } else { line.into() }).collect();
+    let asset = accept("a.ply", (lines.join("\n") + "\n").as_bytes());
+    assert_eq!(codes(&asset), ["face_texture_coordinates"]);
+    assert_eq!(asset.mesh, accept("a.ply", &ascii_ply()).mesh);
+}
+
+#[test]
 fn stl_has_three_rows_per_facet_in_file_order() {
     for bytes in [binary_stl(), ascii_stl()] {
         let asset = accept("a.stl", &bytes);
