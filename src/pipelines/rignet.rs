@@ -134,11 +134,16 @@ fn find_joints(
     if let Some(plane) = plane {
         // The mirror image of a symmetric character is the same character, but not to the networks. What they say of it
         // counts as much as what they say of the character: no side is favoured, and a mirrored upload gets the mirrored rig.
+        // The mean of both stands for what lies in the middle: a spine is neither left nor right.
         let images: Vec<DVec3> = vertices.iter().map(|&vertex| plane.reflect(vertex)).collect();
         let (displaced_images, attention_of_images) = asked(&graph.moved(points_f32(&images)), nets, watch)?;
-        vertices.extend_from_within(..);
-        displaced.extend(displaced_images.into_iter().map(|image| plane.reflect(image)));
-        attention.extend(attention_of_images);
+        let images: Vec<DVec3> = displaced_images.into_iter().map(|image| plane.reflect(image)).collect();
+        let means: Vec<DVec3> = displaced.iter().zip(&images).map(|(&own, &image)| (own + image) * 0.5).collect();
+        let mean_attention: Vec<f64> =
+            attention.iter().zip(&attention_of_images).map(|(own, image)| (own + image) * 0.5).collect();
+        vertices = vertices.repeat(3);
+        displaced.extend(images.into_iter().chain(means));
+        attention.extend(attention_of_images.into_iter().chain(mean_attention));
     }
     watch.cancellation.check()?;
     let evidence = Evidence { vertices: &vertices, displaced: &displaced, attention: &attention };
