@@ -9,6 +9,7 @@ use axum::response::IntoResponse;
 use axum::routing::get;
 use metrics::gauge;
 use metrics_exporter_prometheus::PrometheusHandle;
+use std::time::SystemTime;
 
 #[derive(Clone)]
 struct Source {
@@ -21,7 +22,13 @@ pub fn routes(app: App, counted: PrometheusHandle) -> Router {
 }
 
 async fn write(State(Source { app, counted }): State<Source>) -> impl IntoResponse {
-    gauge!(names::JOBS_RUNNING).set(app.jobs.running() as f64);
+    if let Ok(counts) = app.jobs.counts().await {
+        gauge!(names::JOBS_WAITING).set(counts.queued as f64);
+        gauge!(names::JOBS_RUNNING).set(counts.running as f64);
+        let oldest = counts.oldest_queued_at.map(SystemTime::from);
+        let waited = oldest.and_then(|since| SystemTime::now().duration_since(since).ok()).unwrap_or_default();
+        gauge!(names::OLDEST_SECONDS).set(waited.as_secs_f64());
+    }
     if let Some(bytes) = resident_bytes() {
         gauge!(names::RESIDENT_BYTES).set(bytes as f64);
     }

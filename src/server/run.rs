@@ -3,7 +3,7 @@
 use super::keys::{Keys, KeysError, Quota};
 use super::{App, ConnectionLimits, Limits, app, connections, metrics};
 use crate::config::ServeConfig;
-use crate::jobs::{Jobs, Rigger, Settings};
+use crate::jobs::{Jobs, Rigger, Settings, StartError};
 use crate::storage::{Store, StoreError};
 use crate::telemetry;
 use std::io;
@@ -35,6 +35,8 @@ pub enum ServeError {
     Keys(#[from] KeysError),
     #[error(transparent)]
     Store(#[from] StoreError),
+    #[error(transparent)]
+    Start(#[from] StartError),
     #[error("the service ended: {0}")]
     Io(#[from] io::Error),
 }
@@ -50,7 +52,7 @@ impl ServeError {
             }
             Self::NoKeys { .. } => "make a key with rigsmith keys new",
             Self::Keys(_) => "rigsmith keys new makes the file; rigsmith keys list reads it",
-            Self::Store(_) => "name another folder by --data",
+            Self::Store(_) | Self::Start(_) => "name another folder by --data",
             Self::Io(_) => "",
         }
     }
@@ -81,7 +83,7 @@ pub async fn serve(
     listening(listener.local_addr()?);
     let ended = run(listener, stop_signal(), app).await;
     background.iter().for_each(JoinHandle::abort);
-    jobs.clear();
+    jobs.close().await;
     Ok(ended?)
 }
 

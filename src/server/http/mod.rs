@@ -3,7 +3,6 @@
 pub mod artifacts;
 pub mod authenticate;
 pub mod error;
-mod file_body;
 mod media;
 mod negotiate;
 pub mod openapi;
