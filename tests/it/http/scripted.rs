@@ -182,9 +182,9 @@ impl Service {
         self.send(request("GET", path, &[], "")).await
     }
 
-    /// Posts a script as the mesh.
+    /// Posts a script as the mesh, to be worked on even if an equal one was.
     pub async fn rig(&self, query: &str, headers: &[(&str, &str)], script: &str) -> Answer {
-        let mut fields = vec![("content-type", "model/obj")];
+        let mut fields = vec![("content-type", "model/obj"), ("cache-control", "no-cache")];
         fields.extend(headers);
         self.send(request("POST", &format!("/v1/rigs{query}"), &fields, script)).await
     }
@@ -212,10 +212,21 @@ impl Service {
         panic!("{path} did not become {state}: {}", self.get(path).await.text());
     }
 
-    /// Files in the data folder, but for its lock.
+    /// Files of uploads and results in the data folder.
     pub fn files(&self) -> usize {
-        let bundles = ["incoming", "bundles"].map(|name| self.folder.path().join(name));
-        bundles.iter().map(|path| std::fs::read_dir(path).expect("folder").count()).sum()
+        let folders = ["incoming", "blobs"].map(|name| self.folder.path().join(name));
+        folders.iter().map(|path| std::fs::read_dir(path).expect("folder").count()).sum()
+    }
+
+    /// Waits until there are `count` files; a few seconds at most.
+    pub async fn until_files(&self, count: usize) {
+        for _ in 0..300 {
+            if self.files() == count {
+                return;
+            }
+            tokio::time::sleep(Duration::from_millis(10)).await;
+        }
+        panic!("{} files, not {count}", self.files());
     }
 }
 
