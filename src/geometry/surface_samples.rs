@@ -8,9 +8,9 @@
 //! Out: positions and normals `[S, 3]`, S = `count` on any surface with an area.
 //! # Departures from the published code
 //! - Candidates are not drawn from a sequence: every triangle is halved across its longest edge until its pieces are
-//!   small, and each piece holds one candidate where a hash of its [`Place`] puts it. They do not depend on how the mesh is
-//!   numbered; turning the mesh about the vertical, or mirroring it in a vertical plane, turns or mirrors them. (The pieces'
-//!   middles would not do: they form lattices whose patches the graph of nearest samples does not join.)
+//!   small, and each piece holds one candidate where a hash of its [`Place`] puts it. So the samples follow the mesh when it is
+//!   renumbered, moved, grown or mirrored in x, and nearly all of them when it is turned a little or changed in places. (The
+//!   pieces' middles would not do: they form lattices whose patches the graph of nearest samples does not join.)
 //! - Candidates on opposite sides of something thin do not crowd each other out.
 
 use super::close_pairs::for_each_close_pair;
@@ -73,12 +73,19 @@ struct Frame {
     size: f64,
 }
 
-/// Height and distance from the vertical, in [`GRAIN`]s: the same for a point and for its image when the surface is turned
-/// about the vertical or mirrored in a vertical plane.
-type Place = [i64; 2];
+/// Height and distance from the vertical, in [`GRAIN`]s, and the sector of the angle between the horizontal offset and z,
+/// left and right alike. The same for a point and its image when the surface is moved, grown or mirrored in x; almost always
+/// when it is turned a little about the vertical, or a few vertices change. (Without sectors the samples of a round body would
+/// lie in rings that the graph of nearest samples does not join.)
+type Place = [i64; 3];
 
-/// Places nearer than this share of the surface's size are one. Far above rounding, far below a triangle.
-const GRAIN: f64 = 1.0 / (1 << 20) as f64;
+/// Places nearer than about this share of the surface's size are one: far above what a few vertices more or less shift the
+/// middle by, below the spacing of samples.
+const GRAIN: f64 = 1.0 / 512.0;
+/// Sectors of half a turn.
+const SECTORS: f64 = 16.0;
+/// Lengths that differ by less are equal but for rounding.
+const ROUNDING: f64 = 1e-9;
 
 impl Frame {
     fn new(mesh: &Mesh, area: f64) -> Self {
@@ -90,7 +97,8 @@ impl Frame {
 
     fn place(&self, position: DVec3) -> Place {
         let from = (position - self.center) / self.size;
-        [from.y, from.x.hypot(from.z)].map(|value| (value / GRAIN).round() as i64)
+        let sector = from.x.abs().atan2(from.z) * SECTORS / std::f64::consts::PI;
+        [from.y / GRAIN, from.x.hypot(from.z) / GRAIN, sector].map(|value| value.round() as i64)
     }
 }
 
@@ -118,7 +126,7 @@ fn candidates(mesh: &Mesh, frame: &Frame, piece_area: f64, small_area: f64) -> V
             if area > piece_area {
                 let (ab, bc, ca) = (a.0.distance_squared(b.0), b.0.distance_squared(c.0), c.0.distance_squared(a.0));
                 // Edges that differ by rounding alone are equally long; the first of them is halved.
-                let longest = ab.max(bc).max(ca) * (1.0 - GRAIN);
+                let longest = ab.max(bc).max(ca) * (1.0 - ROUNDING);
                 let (from, to, other) = if ab >= longest {
                     (a, b, c)
                 } else if bc >= longest {
@@ -129,8 +137,8 @@ fn candidates(mesh: &Mesh, frame: &Frame, piece_area: f64, small_area: f64) -> V
                 let middle = ((from.0 + to.0) * 0.5, (from.1 + to.1) * 0.5);
                 work.extend([[from, middle, other], [middle, to, other]]);
             } else if area > 0.0 {
-                let [height, distance] = frame.place((a.0 + b.0 + c.0) / 3.0);
-                let bits = mix(height as u64 ^ mix(distance as u64));
+                let [height, distance, sector] = frame.place((a.0 + b.0 + c.0) / 3.0);
+                let bits = mix(height as u64 ^ mix(distance as u64 ^ mix(sector as u64)));
                 if area >= small_area || share(mix(bits)) * small_area < area {
                     let [u, v, w] = scattered(bits);
                     let normal = (a.1 * u + b.1 * v + c.1 * w).normalize_or_zero();
@@ -335,12 +343,12 @@ mod tests {
     }
 
     #[test]
-    fn turning_about_the_vertical_and_mirroring_carry_the_samples_along() {
+    fn samples_go_along_when_the_mesh_is_turned_a_little_mirrored_moved_or_grown() {
         // Nothing about it is symmetric.
         let mesh = joined(&[torus(0.4, 0.15, 40), sphere(DVec3::new(0.3, 0.4, -0.2), 0.2, 30)]);
         let samples = SurfaceSamples::new(&mesh, 1_000);
-        let turn = glam::DMat3::from_rotation_y(0.7);
-        let mirror = glam::DMat3::from_diagonal(DVec3::new(1.0, 1.0, -1.0));
+        let turn = glam::DMat3::from_rotation_y(5e-4);
+        let mirror = glam::DMat3::from_diagonal(DVec3::new(-1.0, 1.0, 1.0));
         for (name, map, scale) in [("turned", turn, 1.0), ("mirrored", mirror, 1.0), ("grown", turn, 3.0)] {
             let moved = Mesh {
                 positions: mesh.positions.iter().map(|&p| scale * (map * p) + DVec3::new(0.1, 2.0, -0.3)).collect(),
@@ -350,7 +358,7 @@ mod tests {
             let tree = crate::geometry::point_tree::PointTree::new(&found.positions);
             let there = |&p: &DVec3| tree.nearest(scale * (map * p) + DVec3::new(0.1, 2.0, -0.3)).unwrap().1 < 1e-12;
             let kept = samples.positions.iter().filter(|p| there(p)).count();
-            assert!(kept >= 990, "{name}: {kept} of 1000 samples went along");
+            assert!(kept >= 950, "{name}: {kept} of 1000 samples went along");
         }
     }
 
