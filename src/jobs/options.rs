@@ -49,6 +49,28 @@ impl Default for RigOptions {
     }
 }
 
+impl RigOptions {
+    /// Every field by its name, so that [`OptionsReader`] reads the same options back.
+    pub fn to_json(&self) -> Value {
+        let (detail, bandwidth) = match self.level_of_detail {
+            LevelOfDetail::Detail(detail) => (Some(detail), None),
+            LevelOfDetail::Bandwidth(bandwidth) => (None, Some(bandwidth)),
+        };
+        serde_json::json!({
+            "method": self.method,
+            "detail": detail,
+            "bandwidth": bandwidth,
+            "symmetry": self.symmetry.name(),
+            "max_influences": self.max_influences,
+            "seed": self.seed,
+            "up": axis_name(self.up),
+            "front": axis_name(self.front),
+            "existing_rig": self.existing_rig.name(),
+            "outputs": self.outputs.iter().map(|output| output.name()).collect::<Vec<_>>(),
+        })
+    }
+}
+
 /// A file to make.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Output {
@@ -397,7 +419,16 @@ mod tests {
             outputs: vec![Output::RigJson, Output::Glb],
         };
         assert_eq!(from_text.finish(), Ok(expected.clone()));
-        assert_eq!(from_json.finish(), Ok(expected));
+        assert_eq!(from_json.finish(), Ok(expected.clone()));
+        let bandwidth = RigOptions { level_of_detail: LevelOfDetail::Bandwidth(0.05), ..RigOptions::default() };
+        for options in [expected, bandwidth, RigOptions::default()] {
+            let written = options.to_json();
+            let mut reader = OptionsReader::default();
+            let fields = written.as_object().expect("an object");
+            assert_eq!(fields.keys().collect::<Vec<_>>(), OptionsReader::FIELDS.iter().collect::<Vec<_>>());
+            fields.iter().for_each(|(field, value)| reader.json(field, value));
+            assert_eq!(reader.finish(), Ok(options), "what is written is read back");
+        }
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use super::{App, Limits, app};
 use crate::config::ServeConfig;
-use crate::jobs::{Jobs, Rigger, Settings};
+use crate::jobs::{Jobs, Rigger, Settings, StartError};
 use crate::storage::{Store, StoreError};
 use std::future::IntoFuture;
 use std::io;
@@ -25,6 +25,8 @@ pub enum ServeError {
     Listen { address: SocketAddr, source: io::Error },
     #[error(transparent)]
     Store(#[from] StoreError),
+    #[error(transparent)]
+    Start(#[from] StartError),
     #[error("the service ended: {0}")]
     Io(#[from] io::Error),
 }
@@ -55,7 +57,7 @@ pub async fn serve(
     let jobs = Jobs::start(rigger, store, settings)?;
     listening(listener.local_addr()?);
     let ended = run(listener, stop_signal(), App::new(jobs.clone(), limits)).await;
-    jobs.clear();
+    jobs.close().await;
     Ok(ended?)
 }
 

@@ -2,7 +2,6 @@
 
 pub mod artifacts;
 pub mod error;
-mod file_body;
 mod media;
 mod negotiate;
 pub mod openapi;
