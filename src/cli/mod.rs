@@ -7,6 +7,7 @@ mod files;
 mod methods;
 mod rig;
 mod serve;
+mod skin;
 
 use clap::{Args, Parser, Subcommand};
 use rigsmith::pipelines::LoadOptions;
@@ -29,6 +30,7 @@ struct Cli {
 enum Command {
     /// Rig a mesh file.
     Rig(rig::RigArguments),
+    Skin(skin::SkinArguments),
     /// Say what would be rigged, without doing it.
     Check(check::CheckArguments),
     /// List the methods that run here, their models, licences and self-tests.
@@ -71,6 +73,7 @@ pub fn run() -> ExitCode {
     let cli = Cli::parse();
     let done = match cli.command {
         Command::Rig(arguments) => rig::run(&arguments, &cli.engine),
+        Command::Skin(arguments) => skin::run(&arguments, &cli.engine),
         Command::Check(arguments) => check::run(&arguments),
         Command::Methods => methods::run(&cli.engine),
         Command::Serve(arguments) => serve::run(arguments, &cli.engine),

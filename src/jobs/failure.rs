@@ -67,6 +67,7 @@ pub enum ErrorCode {
     UnsupportedExtension,
     MissingResource,
     AlreadyRigged,
+    SkeletonInvalid,
     NotRiggable,
     NoJointsFound,
     DegenerateSkeleton,
@@ -81,7 +82,7 @@ pub enum ErrorCode {
 }
 
 impl ErrorCode {
-    pub const ALL: [ErrorCode; 22] = [
+    pub const ALL: [ErrorCode; 23] = [
         ErrorCode::TooLarge,
         ErrorCode::TooManyFaces,
         ErrorCode::TooManyVertices,
@@ -93,6 +94,7 @@ impl ErrorCode {
         ErrorCode::UnsupportedExtension,
         ErrorCode::MissingResource,
         ErrorCode::AlreadyRigged,
+        ErrorCode::SkeletonInvalid,
         ErrorCode::NotRiggable,
         ErrorCode::NoJointsFound,
         ErrorCode::DegenerateSkeleton,
@@ -124,6 +126,7 @@ impl ErrorCode {
             ErrorCode::UnsupportedExtension => "unsupported_extension",
             ErrorCode::MissingResource => "missing_resource",
             ErrorCode::AlreadyRigged => "already_rigged",
+            ErrorCode::SkeletonInvalid => "skeleton_invalid",
             ErrorCode::NotRiggable => "not_riggable",
             ErrorCode::NoJointsFound => "no_joints_found",
             ErrorCode::DegenerateSkeleton => "degenerate_skeleton",
@@ -150,7 +153,8 @@ impl ErrorCode {
             | ErrorCode::NonFiniteVertices
             | ErrorCode::UnsupportedExtension
             | ErrorCode::MissingResource
-            | ErrorCode::AlreadyRigged => ErrorClass::File,
+            | ErrorCode::AlreadyRigged
+            | ErrorCode::SkeletonInvalid => ErrorClass::File,
             ErrorCode::NotRiggable
             | ErrorCode::NoJointsFound
             | ErrorCode::DegenerateSkeleton

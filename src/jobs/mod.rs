@@ -20,6 +20,7 @@ pub mod options;
 pub mod perform;
 pub mod queue;
 mod report;
+mod skeleton;
 pub mod stage;
 pub mod upload;
 mod worker;
@@ -30,11 +31,12 @@ pub use job::{ArtifactInfo, FileInfo, Job, JobId, JobRequest, JobResult, JobStat
 pub use ledger::Denied;
 pub use options::{
     DEFAULT_DETAIL, DEFAULT_MAX_INFLUENCES, ExistingRigPolicy, FieldError, FieldProblem, LevelOfDetail, OptionsReader,
-    Output, RigOptions, Symmetry,
+    Output, RigOptions, SkinMethod, Symmetry,
 };
 pub use perform::{
     Artifact, Availability, MethodInfo, ModelInfo, NamedFile, Outcome, Readiness, RigRequest, Rigger, Timing, Watch,
 };
 pub use queue::{Jobs, Refusal, Settings};
+pub use skeleton::read_skeleton;
 pub use stage::Stage;
 pub use upload::{Received, Upload};
