@@ -11,3 +11,4 @@ mod http;
 mod metamorphic;
 mod pipeline;
 mod program;
+mod skin;
