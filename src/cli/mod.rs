@@ -11,6 +11,7 @@ mod methods;
 mod remote;
 mod rig;
 mod serve;
+mod skin;
 
 use clap::{Args, CommandFactory, Parser, Subcommand};
 use rigsmith::config::EngineConfig;
@@ -33,6 +34,7 @@ struct Cli {
 enum Command {
     /// Rig a mesh file.
     Rig(rig::RigArguments),
+    Skin(skin::SkinArguments),
     /// Say what would be rigged, without doing it.
     Check(check::CheckArguments),
     /// List the methods that run here, their models, licences and self-tests.
@@ -90,6 +92,7 @@ fn run_command() -> Result<(), failure::Failure> {
     let cli: Cli = config::read(&layered.matches)?;
     match cli.command {
         Command::Rig(arguments) => rig::run(&arguments, &cli.engine),
+        Command::Skin(arguments) => skin::run(&arguments, &cli.engine),
         Command::Check(arguments) => check::run(&arguments),
         Command::Methods => methods::run(&cli.engine),
         Command::Serve(arguments) => serve::run(arguments, &cli.engine),

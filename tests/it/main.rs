@@ -12,3 +12,4 @@ mod http;
 mod metamorphic;
 mod pipeline;
 mod program;
+mod skin;

@@ -14,7 +14,7 @@ pub fn sample() -> PathBuf {
 }
 
 /// Starts the program in an empty folder, without the variables that would tell it where things are.
-fn rigsmith(folder: &Path, arguments: &[&str]) -> Output {
+pub fn rigsmith(folder: &Path, arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_rigsmith"))
         .args(arguments)
         .current_dir(folder)
@@ -24,11 +24,11 @@ fn rigsmith(folder: &Path, arguments: &[&str]) -> Output {
         .expect("the program starts")
 }
 
-fn stderr(output: &Output) -> String {
+pub fn stderr(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
 }
 
-fn succeeded(output: &Output) {
+pub fn succeeded(output: &Output) {
     assert_eq!(output.status.code(), Some(0), "{}", stderr(output));
 }
 

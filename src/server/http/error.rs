@@ -111,6 +111,7 @@ impl Code {
             Code::Work(Work::UnsupportedExtension) => ("unsupported_extension", Status::UNPROCESSABLE_ENTITY, "A required extension is not supported", "The file requires a glTF extension that is not read here."),
             Code::Work(Work::MissingResource) => ("missing_resource", Status::UNPROCESSABLE_ENTITY, "A file is missing", "The main file refers to another one that was not sent."),
             Code::Work(Work::AlreadyRigged) => ("already_rigged", Status::UNPROCESSABLE_ENTITY, "The file has a skeleton", "Send existing_rig=replace to remove it and make a new one."),
+            Code::Work(Work::SkeletonInvalid) => ("skeleton_invalid", Status::UNPROCESSABLE_ENTITY, "The skeleton cannot be used", "The skeleton sent along is no tree of named joints with finite positions; detail names the joint."),
             Code::Work(Work::NotRiggable) => ("not_riggable", Status::UNPROCESSABLE_ENTITY, "The mesh cannot be rigged", "The mesh is readable, but not fit for a skeleton."),
             Code::Work(Work::NoJointsFound) => ("no_joints_found", Status::UNPROCESSABLE_ENTITY, "No joints found", "The method found no joints in this mesh, with any setting that it tried."),
             Code::Work(Work::DegenerateSkeleton) => ("degenerate_skeleton", Status::UNPROCESSABLE_ENTITY, "Degenerate skeleton", "The joints found make no usable skeleton."),
