@@ -2,7 +2,7 @@
 
 use crate::http::scripted::Scripted;
 use rigsmith::jobs::{Caller, Job, JobId, JobState, Jobs, Received, RigOptions, Settings, Source, Submission};
-use rigsmith::storage::Store;
+use rigsmith::storage::{Store, StoreError};
 use sha2::{Digest, Sha256};
 use std::path::Path;
 use std::sync::Arc;
@@ -16,8 +16,31 @@ pub fn settings() -> Settings {
 pub fn start(folder: &Path, change: impl FnOnce(&mut Settings)) -> (Jobs, Arc<Scripted>) {
     let (mut settings, rigger) = (settings(), Arc::new(Scripted::default()));
     change(&mut settings);
-    let store = Store::open(folder, 1 << 30).expect("store");
+    let store = free(folder);
     (Jobs::start(rigger.clone(), store, settings).expect("starts"), rigger)
+}
+
+/// The folder, as soon as the threads of an earlier service have left it.
+fn free(folder: &Path) -> Store {
+    for _ in 0..500 {
+        match Store::open(folder, 1 << 30) {
+            Err(StoreError::InUse { .. }) => std::thread::sleep(Duration::from_millis(10)),
+            opened => return opened.expect("store"),
+        }
+    }
+    panic!("the folder stays in use");
+}
+
+/// Waits until `count` blobs are in the folder; some seconds at most.
+pub fn assert_blobs(folder: &Path, count: usize) {
+    let blobs = || std::fs::read_dir(folder.join("blobs")).expect("folder").count();
+    for _ in 0..500 {
+        if blobs() == count {
+            return;
+        }
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    assert_eq!(blobs(), count);
 }
 
 pub fn received(jobs: &Jobs, name: &str, content: &str) -> Received {

@@ -1,6 +1,6 @@
 //! What goes wrong while jobs run, and how each of them ends.
 
-use super::bench::{assert_intact, get, settings, start, submission, submit, until};
+use super::bench::{assert_blobs, assert_intact, get, settings, start, submission, submit, until};
 use crate::http::scripted::Scripted;
 use rigsmith::jobs::clock::{ManualClock, Timestamp};
 use rigsmith::jobs::store::sqlite::SqliteStore;
@@ -9,12 +9,13 @@ use rigsmith::jobs::{
     Caller, ErrorCode, EventKind, Job, JobId, JobResult, JobState, Jobs, Refusal, Settings, Submission,
 };
 use rigsmith::storage::Store;
+use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use std::sync::{Arc, Mutex};
 use std::time::{Duration, SystemTime};
+use tokio::sync::Mutex;
 
 /// Tests that look at the memory of the whole process do so one after the other.
-static MEMORY: Mutex<()> = Mutex::new(());
+static MEMORY: Mutex<()> = Mutex::const_new(());
 const MIB: u64 = 1 << 20;
 
 fn code(job: &Job) -> Option<ErrorCode> {
@@ -49,8 +50,8 @@ async fn a_worker_that_wakes_too_late_changes_nothing() {
         ends += usize::from(matches!(event.kind, EventKind::Done { .. }));
     }
     assert_eq!(ends, 1);
-    let files = std::fs::read_dir(folder.path().join("files/blobs")).expect("folder").count();
-    assert_eq!(files, 1, "the late artifacts leave nothing beside the upload");
+    // The late artifacts leave nothing beside the upload.
+    assert_blobs(&folder.path().join("files"), 1);
 }
 
 async fn second_attempt(store: &SqliteStore, id: JobId) -> Lease {
@@ -88,7 +89,7 @@ async fn a_panicking_stage_fails_its_job_and_no_other() {
 
 #[tokio::test]
 async fn jobs_wait_for_memory_that_others_hold() {
-    let _alone = MEMORY.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+    let _alone = MEMORY.lock().await;
     let folder = tempfile::tempdir().expect("folder");
     let (jobs, rigger) = start(folder.path(), |settings| {
         // Two jobs of 144 MiB fit, a third does not.
@@ -112,12 +113,10 @@ async fn a_job_that_needs_more_memory_than_there_is_is_refused_by_name() {
     let limit = error.limit.expect("a limit");
     assert_eq!((error.code, limit.name.as_ref(), limit.max), (ErrorCode::OutOfMemory, "memory_bytes", 100 * MIB));
     assert!(limit.actual.is_some_and(|actual| actual > limit.max));
-    assert_eq!(std::fs::read_dir(folder.path().join("blobs")).expect("folder").count(), 0);
+    assert_blobs(folder.path(), 0);
     // The bound was lowered while a job waited: it ends, by the same name.
-    let (roomy, _) = {
-        drop(jobs);
-        start(folder.path(), |settings| settings.workers = 1)
-    };
+    drop(jobs);
+    let (roomy, _) = start(folder.path(), |settings| settings.workers = 1);
     let running = submit(&roomy, "sleep 60000").await;
     until(&roomy, running, JobState::Running).await;
     let waiting = submit(&roomy, "ok").await;
@@ -131,7 +130,7 @@ async fn a_job_that_needs_more_memory_than_there_is_is_refused_by_name() {
 
 #[tokio::test]
 async fn a_job_that_takes_more_memory_than_it_may_is_stopped() {
-    let _alone = MEMORY.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+    let _alone = MEMORY.lock().await;
     let folder = tempfile::tempdir().expect("folder");
     let (jobs, _) = start(folder.path(), |settings| settings.memory_bytes_max = Some(600 * MIB));
     let greedy = submit(&jobs, "eat 1000").await;

@@ -1,6 +1,6 @@
 //! Jobs outlive the process, watchers outlive a connection.
 
-use super::bench::{assert_intact, get, received, start, submission, submit, until};
+use super::bench::{assert_blobs, assert_intact, get, received, start, submission, submit, until};
 use rigsmith::jobs::{Caller, EventKind, JobFilter, JobState, Priority, Refusal, RigOptions, Source, Submission};
 use std::time::Duration;
 
@@ -104,8 +104,8 @@ async fn the_same_request_gives_the_same_job_and_an_equal_one_the_same_files() {
     let anew = jobs.submit(anew).await.expect("taken").job.id;
     until(&jobs, anew, JobState::Succeeded).await;
     assert_eq!(rigger.seen.lock().expect("not poisoned").len(), 2);
-    let blobs = std::fs::read_dir(folder.path().join("blobs")).expect("folder").count();
-    assert_eq!(blobs, 3, "one upload and two artifacts, for three jobs");
+    // One upload and two artifacts, for three jobs.
+    assert_blobs(folder.path(), 3);
 }
 
 #[tokio::test]
