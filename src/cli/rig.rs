@@ -11,11 +11,18 @@ use std::path::{Path, PathBuf};
 pub struct RigArguments {
     /// The mesh: .glb, .gltf, .obj, .ply, .stl, .fbx, or a .zip of one with its textures.
     input: PathBuf,
+    #[command(flatten)]
+    options: OptionArguments,
+    #[command(flatten)]
+    results: ResultArguments,
+}
+
+/// Where results go.
+#[derive(Args)]
+pub struct ResultArguments {
     /// What to make, by extension: .glb, .gltf, .rig.json, .txt (RigNet text) or .png (preview). Repeat for more.
     #[arg(short, long = "output", value_name = "OUT", required = true)]
     outputs: Vec<PathBuf>,
-    #[command(flatten)]
-    options: OptionArguments,
     /// Write the report of the work as JSON.
     #[arg(long, value_name = "FILE.json")]
     report: Option<PathBuf>,
@@ -33,9 +40,19 @@ pub struct OptionArguments {
     /// RigNet's mean-shift bandwidth instead of --detail; larger means fewer joints.
     #[arg(long, value_name = "H")]
     bandwidth: Option<String>,
+    #[command(flatten)]
+    any_skeleton: AnySkeletonArguments,
+}
+
+/// The options that a skeleton of one's own leaves open.
+#[derive(Args)]
+pub struct AnySkeletonArguments {
     /// Make left and right alike: auto, on or off.
     #[arg(long, value_name = "auto|on|off")]
     symmetry: Option<String>,
+    /// What weighs the vertices: auto, rignet or geodesic_voxel.
+    #[arg(long, value_name = "NAME")]
+    skin_method: Option<String>,
     /// Most joints that may move one vertex, 1 to 8.
     #[arg(long, value_name = "N")]
     max_influences: Option<String>,
@@ -56,57 +73,91 @@ pub struct OptionArguments {
 impl OptionArguments {
     /// The options, checked by the reader that the HTTP door uses too.
     pub fn read(&self, outputs: &[Output]) -> Result<RigOptions, Failure> {
-        let mut reader = OptionsReader::default();
-        let given = [
-            ("method", &self.method),
-            ("detail", &self.detail),
-            ("bandwidth", &self.bandwidth),
+        let mut given = self.any_skeleton.given();
+        given.extend([("method", &self.method), ("detail", &self.detail), ("bandwidth", &self.bandwidth)]);
+        read_options(&given, outputs)
+    }
+}
+
+impl AnySkeletonArguments {
+    pub fn read(&self, outputs: &[Output]) -> Result<RigOptions, Failure> {
+        read_options(&self.given(), outputs)
+    }
+
+    fn given(&self) -> Vec<(&'static str, &Option<String>)> {
+        vec![
             ("symmetry", &self.symmetry),
+            ("skin_method", &self.skin_method),
             ("max_influences", &self.max_influences),
             ("seed", &self.seed),
             ("up", &self.up),
             ("front", &self.front),
             ("existing_rig", &self.existing_rig),
-        ];
-        for (field, value) in given {
-            if let Some(value) = value {
-                reader.text(field, value);
-            }
-        }
-        if !outputs.is_empty() {
-            let names: Vec<&str> = outputs.iter().map(|output| output.name()).collect();
-            reader.text("outputs", &names.join(","));
-        }
-        reader.finish().map_err(|errors| {
-            let lines: Vec<String> =
-                errors.iter().map(|error| format!("--{}: {}", error.field.replace('_', "-"), error.detail)).collect();
-            Failure::arguments(lines.join("; "))
-        })
+        ]
     }
 }
 
+fn read_options(given: &[(&str, &Option<String>)], outputs: &[Output]) -> Result<RigOptions, Failure> {
+    let mut reader = OptionsReader::default();
+    for (field, value) in given {
+        if let Some(value) = value {
+            reader.text(field, value);
+        }
+    }
+    if !outputs.is_empty() {
+        let names: Vec<&str> = outputs.iter().map(|output| output.name()).collect();
+        reader.text("outputs", &names.join(","));
+    }
+    reader.finish().map_err(|errors| {
+        let lines: Vec<String> =
+            errors.iter().map(|error| format!("--{}: {}", error.field.replace('_', "-"), error.detail)).collect();
+        Failure::arguments(lines.join("; "))
+    })
+}
+
 pub fn run(arguments: &RigArguments, engine: &EngineOptions) -> Result<(), Failure> {
-    let kinds = arguments.outputs.iter().map(|path| output_kind(path)).collect::<Result<Vec<_>, _>>()?;
-    let options = arguments.options.read(&kinds)?;
-    let file = InputFile::read(&arguments.input)?;
+    let options = arguments.options.read(&arguments.results.kinds()?)?;
+    make(&arguments.input, &options, &arguments.results, engine)
+}
+
+/// Rigs the file at `input` and writes what was asked for.
+pub fn make(
+    input: &Path,
+    options: &RigOptions,
+    results: &ResultArguments,
+    engine: &EngineOptions,
+) -> Result<(), Failure> {
+    let file = InputFile::read(input)?;
     let engine = Engine::open(&engine.load_options(1))?;
     let watch = Watch::unattended();
     let outcome = engine
-        .rig_file(&file.name, &file.bytes, &file.siblings, &options, &watch)
-        .map_err(|error| Failure::job(&arguments.input, &error))?;
-    for (path, kind) in arguments.outputs.iter().zip(kinds) {
-        let artifact = outcome
-            .artifact(kind)
-            .ok_or_else(|| Failure::internal(format!("no {} was made", kind.name()), "report this as a bug"))?;
-        write_whole(path, &artifact.bytes)?;
-    }
-    if let Some(path) = &arguments.report {
-        let report = serde_json::to_vec_pretty(&outcome.timed_report(&watch))
-            .map_err(|error| Failure::internal(error.to_string(), ""))?;
-        write_whole(path, &report)?;
-    }
-    summarise(&arguments.outputs, &outcome, &watch);
+        .rig_file(&file.name, &file.bytes, &file.siblings, options, &watch)
+        .map_err(|error| Failure::job(input, &error))?;
+    results.write(&outcome, &watch)?;
+    summarise(&results.outputs, &outcome, &watch);
     Ok(())
+}
+
+impl ResultArguments {
+    /// What to make, in the order of the files.
+    pub fn kinds(&self) -> Result<Vec<Output>, Failure> {
+        self.outputs.iter().map(|path| output_kind(path)).collect()
+    }
+
+    fn write(&self, outcome: &Outcome, watch: &Watch) -> Result<(), Failure> {
+        for (path, kind) in self.outputs.iter().zip(self.kinds()?) {
+            let artifact = outcome
+                .artifact(kind)
+                .ok_or_else(|| Failure::internal(format!("no {} was made", kind.name()), "report this as a bug"))?;
+            write_whole(path, &artifact.bytes)?;
+        }
+        if let Some(path) = &self.report {
+            let report = serde_json::to_vec_pretty(&outcome.timed_report(watch))
+                .map_err(|error| Failure::internal(error.to_string(), ""))?;
+            write_whole(path, &report)?;
+        }
+        Ok(())
+    }
 }
 
 /// Which output a file name asks for.

@@ -9,7 +9,8 @@
 //! Parents precede children; positions are in upload space. One skin per part of the asset, one row per vertex: file
 //! vertices in file order, or for glTF a primitive's vertices in accessor order.
 
-use super::{Asset, gltf};
+use super::Asset;
+use super::gltf::{self, JointNames};
 use crate::rig::{Influence, Joint, Rig, Skeleton, SkinWeights};
 use glam::DVec3;
 use serde::ser::Serializer;
@@ -36,6 +37,9 @@ pub struct PartSkin {
     pub weights: SkinWeights,
 }
 
+/// Most joints of a skeleton that is read: far above any character's, and far below what would exhaust a service.
+pub const JOINTS_MAX: usize = 1_000;
+
 /// Why a rig file cannot be used.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum RigFileError {
@@ -45,6 +49,8 @@ pub enum RigFileError {
     Format { found: String },
     #[error("the skeleton has no joints")]
     NoJoints,
+    #[error("the skeleton has {found} joints, but at most {JOINTS_MAX} are taken")]
+    TooManyJoints { found: usize },
     #[error("joint {joint} ({name:?}): {problem}")]
     Joint { joint: usize, name: String, problem: String },
     #[error("skin {skin}, vertex {vertex}: {problem}")]
@@ -56,7 +62,11 @@ impl RigFileError {
     pub fn code(&self) -> &'static str {
         match self {
             Self::Json { .. } => "invalid_json",
-            Self::Format { .. } | Self::NoJoints | Self::Joint { .. } | Self::Weights { .. } => "skeleton_invalid",
+            Self::Format { .. }
+            | Self::NoJoints
+            | Self::TooManyJoints { .. }
+            | Self::Joint { .. }
+            | Self::Weights { .. } => "skeleton_invalid",
         }
     }
 
@@ -66,6 +76,7 @@ impl RigFileError {
             Self::Json { .. } => "send the rig.json of an earlier rig, edited",
             Self::Format { .. } => "convert the file to this format, or fetch rig.json again",
             Self::NoJoints => "give at least a root joint",
+            Self::TooManyJoints { .. } => "leave helper joints out",
             Self::Joint { .. } => {
                 "list parents before their children, one root first, with unique names and finite positions"
             }
@@ -109,8 +120,8 @@ fn weight_rows<S: Serializer>(rows: &&[Vec<Influence>], serializer: S) -> Result
 }
 
 /// Writes `rig`, whose rows are those of the asset's mesh. Joints have the names that they have in the glTF output.
-pub fn write(asset: &Asset, rig: &Rig, method: &str, report: &Value) -> Vec<u8> {
-    let names = gltf::joint_names(asset, &rig.skeleton);
+pub fn write(asset: &Asset, rig: &Rig, names: JointNames, method: &str, report: &Value) -> Vec<u8> {
+    let names = gltf::joint_names(asset, &rig.skeleton, names);
     let joint =
         |(joint, name): (&Joint, _)| WrittenJoint { name, parent: joint.parent, position: joint.position.to_array() };
     let skins = asset.parts.iter().map(|part| {
@@ -176,14 +187,25 @@ fn skeleton(read: Vec<ReadJoint>) -> Result<Skeleton, RigFileError> {
     if read.is_empty() {
         return Err(RigFileError::NoJoints);
     }
+    if read.len() > JOINTS_MAX {
+        return Err(RigFileError::TooManyJoints { found: read.len() });
+    }
     let mut names = BTreeSet::new();
     for (index, joint) in read.iter().enumerate() {
         let problem = match joint.parent {
-            None if index > 0 => "only the first joint may be without a parent".to_owned(),
+            None if index > 0 => "only the first joint may be without a parent, the root".to_owned(),
+            Some(parent) if parent >= read.len() => {
+                format!("its parent, joint {parent}, does not exist: there are {} joints", read.len())
+            }
+            Some(parent) if is_own_ancestor(&read, index) => {
+                format!("its parent, joint {parent}, hangs below it: the joints form a cycle")
+            }
             Some(parent) if parent >= index => format!("its parent, joint {parent}, does not come before it"),
             _ if joint.name.is_empty() => "its name is empty".to_owned(),
             _ if !names.insert(joint.name.as_str()) => "another joint has the same name".to_owned(),
-            _ if joint.position.iter().any(|value| !value.is_finite()) => "its position is not finite".to_owned(),
+            _ if joint.position.iter().any(|value| !(*value as f32).is_finite()) => {
+                "its position is not finite in single precision".to_owned()
+            }
             _ => continue,
         };
         return Err(RigFileError::Joint { joint: index, name: joint.name.clone(), problem });
@@ -194,6 +216,20 @@ fn skeleton(read: Vec<ReadJoint>) -> Result<Skeleton, RigFileError> {
         position: DVec3::from_array(joint.position),
     };
     Ok(Skeleton { joints: read.into_iter().map(joint).collect() })
+}
+
+/// Whether the way from parent to parent leads back to `joint`.
+fn is_own_ancestor(joints: &[ReadJoint], joint: usize) -> bool {
+    let mut at = joint;
+    // A way without a cycle passes each joint once.
+    for _ in 0..joints.len() {
+        match joints.get(at).and_then(|joint| joint.parent) {
+            Some(parent) if parent == joint => return true,
+            Some(parent) => at = parent,
+            None => return false,
+        }
+    }
+    false
 }
 
 fn part_skin(index: usize, skin: ReadSkin, joint_count: usize) -> Result<PartSkin, RigFileError> {

@@ -7,7 +7,8 @@
 //! hier <parent> <child>                            breadth first
 //! ```
 
-use super::{Asset, gltf};
+use super::Asset;
+use super::gltf::{self, JointNames};
 use crate::rig::{Influence, Rig};
 use std::collections::VecDeque;
 use std::fmt::Write;
@@ -17,7 +18,8 @@ const WEIGHT_MIN: f32 = 0.000_05;
 
 /// Writes `rig`, whose rows are those of the asset's mesh: file vertices in file order, or all parts one after another.
 pub fn write(asset: &Asset, rig: &Rig) -> String {
-    let names = gltf::joint_names(asset, &rig.skeleton);
+    // A blank within a name would break the line.
+    let names = gltf::joint_names(asset, &rig.skeleton, JointNames::Plain);
     let name = |joint: usize| names.get(joint).map_or("", String::as_str);
     let joints = &rig.skeleton.joints;
     let mut text = String::new();

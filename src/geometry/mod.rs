@@ -16,4 +16,5 @@ pub mod symmetry_plane;
 pub mod transfer;
 pub mod triangle;
 pub mod volumetric_geodesic;
+pub mod voxel_binding;
 pub mod voxel_grid;

@@ -205,10 +205,7 @@ fn vote(lines: &[Lines], mesh: &Mesh) -> Vec<bool> {
 
 /// Cells that a path through faces of cells joins with the outside of the cube without touching a cell of the surface.
 fn reached_from_outside(mesh: &Mesh) -> Vec<bool> {
-    let mut closed = vec![false; CELLS];
-    for triangle in 0..mesh.triangles.len() {
-        mark_surface(mesh.corners(triangle), &mut closed);
-    }
+    let closed = surface_cells(mesh);
     let mut reached = vec![false; CELLS];
     let mut work = Vec::new();
     let last = RESOLUTION - 1;
@@ -233,6 +230,15 @@ fn reached_from_outside(mesh: &Mesh) -> Vec<bool> {
         }
     }
     reached
+}
+
+/// The cells that the surface runs through, `[88, 88, 88]`. `mesh` in cell coordinates.
+pub(super) fn surface_cells(mesh: &Mesh) -> Vec<bool> {
+    let mut cells = vec![false; CELLS];
+    for triangle in 0..mesh.triangles.len() {
+        mark_surface(mesh.corners(triangle), &mut cells);
+    }
+    cells
 }
 
 /// Marks the cells that points of a triangle, half a cell apart, lie in.

@@ -5,7 +5,7 @@ use super::options::{Output, RigOptions};
 use super::perform::{Artifact, MethodInfo, Outcome, Readiness, RigRequest, Rigger, Watch};
 use super::report;
 use super::stage::Stage;
-use crate::formats::gltf::{EncodeOptions, encode_glb, encode_gltf};
+use crate::formats::gltf::{EncodeOptions, JointNames, encode_glb, encode_gltf};
 use crate::formats::preview::{self, PreviewOptions};
 use crate::formats::{
     self, Asset, Axes, Axis, DecodeError, DecodeOptions, Finding, Limits, Severity, Siblings, rig_json, rignet_text,
@@ -34,12 +34,17 @@ impl Engine {
         watch: &Watch,
     ) -> Result<Outcome, JobError> {
         let method = method_of(options)?;
+        let method_used = report::method_used(method, options);
         let mut upload = Upload::read(file_name, bytes, siblings, options, &self.limits, watch)?;
         let subject = Subject { mesh: &upload.asset.mesh, to_upright: upload.orientation.rotation() };
         let on_stage = |stage| watch.enter(Stage::from(stage));
         let pipeline_watch = pipelines::Watch { cancellation: watch.cancellation(), on_stage: &on_stage };
-        let rigged = pipelines::rig(subject, &self.models, &pipeline_options(method, options), pipeline_watch)
-            .map_err(|error| rig_failure(&error, watch))?;
+        let wanted = pipeline_options(method, options);
+        let rigged = match &options.skeleton {
+            None => pipelines::rig(subject, &self.models, &wanted, pipeline_watch),
+            Some(skeleton) => pipelines::skin(subject, skeleton, &self.models, &wanted, pipeline_watch),
+        };
+        let rigged = rigged.map_err(|error| rig_failure(&error, watch))?;
         watch.check()?;
         watch.enter(Stage::Export);
         upload.findings.extend(report::findings(&rigged));
@@ -47,10 +52,10 @@ impl Engine {
         let artifacts = options
             .outputs
             .iter()
-            .map(|&output| encode(output, &upload.asset, &rigged, method, options.max_influences, &facts))
+            .map(|&output| encode(output, &upload.asset, &rigged, method_used, options, &facts))
             .collect::<Result<Vec<_>, _>>()?;
         watch.check()?;
-        Ok(Outcome { artifacts, report: facts, findings: upload.findings, method_used: method.name().to_owned() })
+        Ok(Outcome { artifacts, report: facts, findings: upload.findings, method_used: method_used.to_owned() })
     }
 }
 
@@ -149,6 +154,7 @@ fn pipeline_options(method: Method, options: &RigOptions) -> pipelines::RigOptio
         method,
         level_of_detail: options.level_of_detail,
         symmetry: options.symmetry,
+        skin_method: options.skin_method.unwrap_or_default(),
         max_influences: options.max_influences,
         seed: options.seed,
     }
@@ -217,8 +223,8 @@ fn encode(
     output: Output,
     asset: &Asset,
     rigged: &Rigged,
-    method: Method,
-    influences_max: usize,
+    method: &str,
+    wanted: &RigOptions,
     facts: &serde_json::Map<String, serde_json::Value>,
 ) -> Result<Artifact, JobError> {
     let invalid = |cause: String| {
@@ -227,11 +233,12 @@ fn encode(
             .hint("report this as a bug, with the file")
     };
     let rig = &rigged.rig;
-    let options = EncodeOptions { influences_max, ..EncodeOptions::default() };
+    let names = if wanted.skeleton.is_some() { JointNames::AsGiven } else { JointNames::Plain };
+    let options = EncodeOptions { influences_max: wanted.max_influences, names, ..EncodeOptions::default() };
     let bytes = match output {
         Output::Glb => encode_glb(asset, rig, &options).map_err(|error| invalid(error.to_string()))?,
         Output::Gltf => encode_gltf(asset, rig, &options).map_err(|error| invalid(error.to_string()))?,
-        Output::RigJson => rig_json::write(asset, rig, method.name(), &facts.clone().into()),
+        Output::RigJson => rig_json::write(asset, rig, names, method, &facts.clone().into()),
         Output::RignetTxt => rignet_text::write(asset, rig).into_bytes(),
         Output::PreviewPng => preview::preview_png(&asset.mesh, rig, &PreviewOptions::default()),
     };

@@ -83,6 +83,7 @@ pub enum ErrorCode {
     UnsupportedExtension,
     MissingResource,
     AlreadyRigged,
+    SkeletonInvalid,
     NotRiggable,
     NoJointsFound,
     DegenerateSkeleton,
@@ -99,7 +100,7 @@ pub enum ErrorCode {
 }
 
 impl ErrorCode {
-    pub const ALL: [ErrorCode; 23] = [
+    pub const ALL: [ErrorCode; 24] = [
         ErrorCode::TooLarge,
         ErrorCode::TooManyFaces,
         ErrorCode::TooManyVertices,
@@ -111,6 +112,7 @@ impl ErrorCode {
         ErrorCode::UnsupportedExtension,
         ErrorCode::MissingResource,
         ErrorCode::AlreadyRigged,
+        ErrorCode::SkeletonInvalid,
         ErrorCode::NotRiggable,
         ErrorCode::NoJointsFound,
         ErrorCode::DegenerateSkeleton,
@@ -143,6 +145,7 @@ impl ErrorCode {
             ErrorCode::UnsupportedExtension => "unsupported_extension",
             ErrorCode::MissingResource => "missing_resource",
             ErrorCode::AlreadyRigged => "already_rigged",
+            ErrorCode::SkeletonInvalid => "skeleton_invalid",
             ErrorCode::NotRiggable => "not_riggable",
             ErrorCode::NoJointsFound => "no_joints_found",
             ErrorCode::DegenerateSkeleton => "degenerate_skeleton",
@@ -170,7 +173,8 @@ impl ErrorCode {
             | ErrorCode::NonFiniteVertices
             | ErrorCode::UnsupportedExtension
             | ErrorCode::MissingResource
-            | ErrorCode::AlreadyRigged => ErrorClass::File,
+            | ErrorCode::AlreadyRigged
+            | ErrorCode::SkeletonInvalid => ErrorClass::File,
             ErrorCode::NotRiggable
             | ErrorCode::NoJointsFound
             | ErrorCode::DegenerateSkeleton

@@ -48,6 +48,7 @@ pub mod queue;
 mod recipe;
 mod report;
 mod running;
+mod skeleton;
 pub mod stage;
 pub mod store;
 pub mod submission;
@@ -64,13 +65,14 @@ pub use ids::{AssetId, JobId, NotAnId};
 pub use job::{ArtifactInfo, FileInfo, Job, JobRequest, JobResult, JobState, Notice};
 pub use options::{
     DEFAULT_DETAIL, DEFAULT_MAX_INFLUENCES, ExistingRigPolicy, FieldError, FieldProblem, LevelOfDetail, OptionsReader,
-    Output, RigOptions, Symmetry,
+    Output, RigOptions, SkinMethod, Symmetry,
 };
 pub use page::{NoPage, Page};
 pub use perform::{
     Artifact, Availability, MethodInfo, ModelInfo, NamedFile, Outcome, Readiness, RigRequest, Rigger, Timing, Watch,
 };
 pub use queue::{Denied, Jobs, Settings, StartError};
+pub use skeleton::read_skeleton;
 pub use stage::Stage;
 pub use store::{Counts, JobFilter, Remembered, StoreFailure};
 pub use submission::{Caller, Labels, Missing, Priority, Refusal, Source, Submission, Submitted};

@@ -3,10 +3,12 @@
 
 use crate::formats::Axis;
 pub use crate::formats::ExistingRigPolicy;
-pub use crate::pipelines::{LevelOfDetail, Symmetry};
+pub use crate::pipelines::{LevelOfDetail, SkinMethod, Symmetry};
+use crate::rig::Skeleton;
 use serde_json::Value;
 use std::fmt;
 use std::ops::RangeInclusive;
+use std::sync::Arc;
 
 pub const DEFAULT_DETAIL: f64 = 0.5;
 pub const DEFAULT_MAX_INFLUENCES: usize = 4;
@@ -22,6 +24,11 @@ pub struct RigOptions {
     pub method: Option<String>,
     pub level_of_detail: LevelOfDetail,
     pub symmetry: Symmetry,
+    /// What weighs the vertices; `None`: the service chooses.
+    pub skin_method: Option<SkinMethod>,
+    /// A skeleton in upload space to make weights for, instead of making one; see [`super::read_skeleton`]. It stays as it is.
+    /// Not a field of [`OptionsReader`]: it comes as a file of its own.
+    pub skeleton: Option<Arc<Skeleton>>,
     /// Joints per vertex at most.
     pub max_influences: usize,
     pub seed: u64,
@@ -39,6 +46,8 @@ impl Default for RigOptions {
             method: None,
             level_of_detail: LevelOfDetail::Detail(DEFAULT_DETAIL),
             symmetry: Symmetry::Auto,
+            skin_method: None,
+            skeleton: None,
             max_influences: DEFAULT_MAX_INFLUENCES,
             seed: 0,
             up: None,
@@ -103,6 +112,14 @@ impl Words for Symmetry {
         &[("auto", Symmetry::Auto), ("on", Symmetry::On), ("off", Symmetry::Off)];
 }
 
+impl Words for Option<SkinMethod> {
+    const WORDS: &'static [(&'static str, Self)] = &[
+        ("auto", None),
+        (SkinMethod::RigNet.name(), Some(SkinMethod::RigNet)),
+        (SkinMethod::GeodesicVoxel.name(), Some(SkinMethod::GeodesicVoxel)),
+    ];
+}
+
 impl Words for ExistingRigPolicy {
     const WORDS: &'static [(&'static str, Self)] =
         &[("reject", ExistingRigPolicy::Reject), ("replace", ExistingRigPolicy::Replace)];
@@ -116,6 +133,11 @@ impl Words for Output {
         ("rignet_txt", Output::RignetTxt),
         ("preview_png", Output::PreviewPng),
     ];
+}
+
+/// The word for a skin method; `auto` for `None`.
+pub fn skin_method_name(method: Option<SkinMethod>) -> &'static str {
+    method.word()
 }
 
 impl Symmetry {
@@ -219,6 +241,7 @@ impl OptionsReader {
         "detail",
         "bandwidth",
         "symmetry",
+        "skin_method",
         "max_influences",
         "seed",
         "up",
@@ -282,6 +305,7 @@ impl OptionsReader {
             "detail" => options.level_of_detail = LevelOfDetail::Detail(number(raw, DETAIL)?),
             "bandwidth" => options.level_of_detail = LevelOfDetail::Bandwidth(number(raw, BANDWIDTH)?),
             "symmetry" => options.symmetry = word(raw)?,
+            "skin_method" => options.skin_method = word(raw)?,
             "max_influences" => options.max_influences = whole(raw, MAX_INFLUENCES)? as usize,
             "seed" => options.seed = whole(raw, 0..=u64::MAX)?,
             "up" => options.up = axis(raw)?,
@@ -395,6 +419,7 @@ mod tests {
             ("method", "rignet", json!("rignet")),
             ("detail", "0.75", json!(0.75)),
             ("symmetry", "off", json!("off")),
+            ("skin_method", "geodesic_voxel", json!("geodesic_voxel")),
             ("max_influences", "8", json!(8)),
             ("seed", "18446744073709551615", json!(u64::MAX)),
             ("up", "z", json!("+z")),
@@ -411,6 +436,8 @@ mod tests {
             method: Some("rignet".to_owned()),
             level_of_detail: LevelOfDetail::Detail(0.75),
             symmetry: Symmetry::Off,
+            skin_method: Some(SkinMethod::GeodesicVoxel),
+            skeleton: None,
             max_influences: 8,
             seed: u64::MAX,
             up: Some(Axis::PosZ),

@@ -18,10 +18,11 @@ pub fn facts(
     models: &Models,
 ) -> Map<String, Value> {
     let (rig, facts) = (&rigged.rig, &rigged.facts);
+    let skin_method = options.skin_method.unwrap_or_default();
     let digests: Vec<Value> =
         models.statuses().iter().map(|model| json!({"name": model.name, "sha256": model.sha256})).collect();
     object(json!({
-        "method": method.name(),
+        "method": method_used(method, options),
         "service_version": env!("CARGO_PKG_VERSION"),
         "models": digests,
         "options": {
@@ -35,11 +36,13 @@ pub fn facts(
             "root": rig.skeleton.joints.first().map(|joint| joint.name.clone()),
             "depth": rig.skeleton.depth(),
             "symmetric": facts.symmetry_plane.is_some(),
+            "given": options.skeleton.is_some(),
         },
         "skin": {
             "vertices": rig.skin.rows.len(),
             "max_influences": rig.skin.rows.iter().map(Vec::len).max().unwrap_or(0),
             "unweighted": 0,
+            "method": skin_method.name(),
             "by_nearest_bone": facts.vertices_by_nearest_bone,
         },
         "symmetry": {
@@ -54,6 +57,14 @@ pub fn facts(
         "input": input(upload),
         "findings": upload.findings.iter().map(finding).collect::<Vec<_>>(),
     }))
+}
+
+/// The name of what made the rig: the method, or for a skeleton that was given what weighed the vertices.
+pub fn method_used(method: Method, options: &RigOptions) -> &'static str {
+    match options.skeleton {
+        None => method.name(),
+        Some(_) => options.skin_method.unwrap_or_default().name(),
+    }
 }
 
 /// What a check says.
@@ -102,8 +113,21 @@ pub fn check(method: Method, options: &RigOptions, upload: &Upload) -> Map<Strin
 
 /// What is worth telling about the rig besides its facts.
 pub fn findings(rigged: &Rigged) -> Vec<Finding> {
-    let Facts { vertices_by_nearest_bone, joints_inside, .. } = rigged.facts;
+    let Facts { vertices_by_nearest_bone, joints_inside, ref joints_far_outside, .. } = rigged.facts;
     let mut findings = Vec::new();
+    if let Some(first) = joints_far_outside.first().and_then(|&joint| rigged.rig.skeleton.joints.get(joint)) {
+        findings.push(Finding {
+            code: "joints_far_outside",
+            severity: Severity::Warning,
+            message: format!(
+                "{} of {} joints are nowhere near the mesh, the first is {:?}",
+                joints_far_outside.len(),
+                rigged.rig.skeleton.joints.len(),
+                first.name
+            ),
+            hint: "check that skeleton and mesh have the same unit, axes and place".into(),
+        });
+    }
     if vertices_by_nearest_bone > 0 {
         findings.push(Finding {
             code: "vertices_by_nearest_bone",

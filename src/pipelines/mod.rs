@@ -1,7 +1,9 @@
 //! The published methods, one file each, composed from mesh, geometry, nets and rig.
 
+mod prepared;
 pub mod rignet;
 pub mod shape;
+mod skin;
 pub mod survey;
 
 pub use crate::geometry::orientation;
@@ -9,9 +11,9 @@ pub use crate::geometry::orientation;
 use crate::cancellation::{Cancellation, Cancelled};
 use crate::mesh::Mesh;
 pub use crate::nets::{LoadOptions, Models, NetError};
-use crate::rig::Rig;
 use crate::rig::detect_joints::DetectJointsError;
 pub use crate::rig::detect_joints::Fineness as LevelOfDetail;
+use crate::rig::{Rig, Skeleton};
 use glam::{DMat3, DVec3};
 
 /// A published way to make a rig.
@@ -33,6 +35,28 @@ impl Method {
 
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|method| method.name() == name)
+    }
+}
+
+/// A way to weigh vertices over the bones of a skeleton.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum SkinMethod {
+    /// RigNet's skin network over volumetric geodesic distances [Xu et al. 2020, Section 4.3].
+    #[default]
+    RigNet,
+    /// Falloff of the way through voxels of the solid [Dionne and de Lasa 2013]; asks no network.
+    GeodesicVoxel,
+}
+
+impl SkinMethod {
+    pub const ALL: [Self; 2] = [Self::RigNet, Self::GeodesicVoxel];
+
+    /// The name in requests and reports.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::RigNet => "rignet",
+            Self::GeodesicVoxel => "geodesic_voxel",
+        }
     }
 }
 
@@ -80,6 +104,7 @@ pub struct RigOptions {
     pub method: Method,
     pub level_of_detail: LevelOfDetail,
     pub symmetry: Symmetry,
+    pub skin_method: SkinMethod,
     /// Most joints that may move one vertex, 1 to 8.
     pub max_influences: usize,
     /// Fixes every choice that is not decided by the mesh.
@@ -92,6 +117,7 @@ impl Default for RigOptions {
             method: Method::RigNet,
             level_of_detail: LevelOfDetail::Detail(0.5),
             symmetry: Symmetry::Auto,
+            skin_method: SkinMethod::default(),
             max_influences: 4,
             seed: 0,
         }
@@ -141,10 +167,12 @@ pub struct Facts {
     pub symmetry_plane: Option<(DVec3, DVec3)>,
     /// 0 to 1: how well the best vertical plane mirrors the shape.
     pub symmetry_score: f64,
-    /// The mean-shift bandwidth that was used, in the normalised frame.
-    pub bandwidth: f64,
+    /// The mean-shift bandwidth that was used, in the normalised frame; `None` for a skeleton that was given.
+    pub bandwidth: Option<f64>,
     /// Share of joints inside the solid.
     pub joints_inside: f64,
+    /// Joints of a given skeleton that are nowhere near the mesh, by index.
+    pub joints_far_outside: Vec<usize>,
     /// Vertices that no bone's weights reached; they follow the nearest bone.
     pub vertices_by_nearest_bone: usize,
 }
@@ -214,6 +242,25 @@ pub fn rig(subject: Subject, models: &Models, options: &RigOptions, watch: Watch
     match options.method {
         Method::RigNet => rignet::rig(subject, models.rignet().map_err(unavailable)?, options, watch),
     }
+}
+
+/// Weighs the vertices of `subject` over `skeleton` (upload space), by the skin method that `options` name. The skeleton
+/// stays as it is.
+pub fn skin(
+    subject: Subject,
+    skeleton: &Skeleton,
+    models: &Models,
+    options: &RigOptions,
+    watch: Watch,
+) -> Result<Rigged, RigError> {
+    let nets = match options.skin_method {
+        SkinMethod::GeodesicVoxel => None,
+        SkinMethod::RigNet => Some(models.rignet().map_err(|reason| RigError::MethodUnavailable {
+            method: options.skin_method.name(),
+            reason: reason.to_owned(),
+        })?),
+    };
+    skin::skin(subject, skeleton, nets, options, watch)
 }
 
 /// Why `method` cannot run here; `None` when it can.

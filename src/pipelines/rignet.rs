@@ -1,29 +1,19 @@
 //! RigNet [Xu et al. 2020], Section 4, in the paper's order, with what a service has to add: any upload comes in, a
 //! working mesh is made of it, and the weights go back to the upload's own vertices.
 
+use super::prepared::{Prepared, SYMMETRIC_FROM};
 use super::shape::{Shape, points_f32};
-use super::survey::normalised;
+use super::skin::{Weigher, weigh};
 use super::{Facts, RigError, RigOptions, Rigged, Stage, Subject, Symmetry, Watch};
-use crate::geometry::bvh::Bvh;
-use crate::geometry::surface_samples::SurfaceSamples;
-use crate::geometry::symmetry_plane::{SymmetryPlane, detect_symmetry_plane};
+use crate::geometry::symmetry_plane::SymmetryPlane;
 use crate::geometry::transfer::transfer_map;
-use crate::mesh::Mesh;
-use crate::mesh::normalize::Normalization;
-use crate::mesh::working_mesh::WorkingMesh;
 use crate::nets::rignet::{RigNets, ShapeGraph};
-use crate::rig::bone_features::{BONE_CHANNELS, NEAREST_BONES, bone_features};
-use crate::rig::bone_weights::{BoneWeights, PRUNE_SHARE, SMOOTHINGS, TRACE_SHARE};
 use crate::rig::detect_joints::{DetectedJoints, Evidence, detect_joints};
 use crate::rig::quality::inside_share;
 use crate::rig::spanning_tree::{BoneCosts, OutsideRule, Tree, minimum_spanning_tree, symmetric_spanning_tree};
-use crate::rig::{Rig, Skeleton, SkinWeights};
-use glam::{DMat3, DVec3};
+use crate::rig::{Rig, Skeleton};
+use glam::DVec3;
 use ndarray::{Array2, ArrayView2};
-
-/// From this score on a shape counts as symmetric when symmetry is automatic. The score falls to 0 where mirrored
-/// samples are 2 % of the longest side off on average: real characters with a prop or a turned head stay above .8.
-const SYMMETRIC_FROM: f64 = 0.75;
 
 /// Rigs `subject` with RigNet.
 pub fn rig(subject: Subject, nets: &RigNets, options: &RigOptions, watch: Watch) -> Result<Rigged, RigError> {
@@ -45,7 +35,8 @@ pub fn rig(subject: Subject, nets: &RigNets, options: &RigOptions, watch: Watch)
     let skeleton = connect(&shape, &graph, nets, &detected, watch)?;
 
     watch.enter(Stage::Skin)?;
-    let (skin, vertices_by_nearest_bone) = skin(&shape, &graph, nets, &skeleton, options, watch)?;
+    let weigher = Weigher::new(options.skin_method, nets, &graph);
+    let (skin, vertices_by_nearest_bone) = weigh(&shape, &skeleton, weigher, options.max_influences, watch)?;
 
     watch.enter(Stage::Transfer)?;
     let skin = skin.transferred(&transfer_map(&subject.original, &subject.working), options.max_influences);
@@ -55,60 +46,13 @@ pub fn rig(subject: Subject, nets: &RigNets, options: &RigOptions, watch: Watch)
         working_triangles: shape.mesh.triangles.len(),
         symmetry_plane: plane.map(|plane| subject.plane_in_upload(&plane)),
         symmetry_score: shape.symmetry.score,
-        bandwidth: detected.bandwidth,
+        bandwidth: Some(detected.bandwidth),
         joints_inside: inside_share(&skeleton.positions(), |joint| shape.solid.contains(joint)),
+        joints_far_outside: Vec::new(),
         vertices_by_nearest_bone,
     };
     Ok(Rigged { rig: Rig { skeleton: skeleton.mapped(to_upload), skin }, facts })
 }
-
-/// An upload in the normalised frame.
-struct Prepared<'a> {
-    upload: Subject<'a>,
-    normalization: Normalization,
-    /// All of the upload's vertices.
-    original: Mesh,
-    working: WorkingMesh,
-}
-
-impl<'a> Prepared<'a> {
-    fn new(upload: Subject<'a>) -> Result<Self, RigError> {
-        let normalization = Normalization::new(&upload.mesh.positions, upload.to_upright).ok_or(RigError::NoExtent)?;
-        let original = normalised(upload.mesh, &normalization);
-        let working = WorkingMesh::new(&original).map_err(|_| RigError::NoExtent)?;
-        Ok(Self { upload, normalization, original, working })
-    }
-
-    /// Turns a symmetric character about the vertical until its mirror plane is x = 0, as the networks were trained; by at
-    /// most a quarter turn, so that front stays front.
-    fn face_the_front(&mut self) {
-        let samples = SurfaceSamples::new(&self.working.mesh, FACING_SAMPLES);
-        let plane = detect_symmetry_plane(&samples, &Bvh::new(&self.working.mesh));
-        let angle = plane.normal.z.atan2(plane.normal.x);
-        if plane.score < SYMMETRIC_FROM || angle.abs() < FACING_TOLERANCE {
-            return;
-        }
-        let rotation = DMat3::from_rotation_y(angle) * self.upload.to_upright;
-        let Some(turned) = Normalization::new(&self.upload.mesh.positions, rotation) else { return };
-        let map = |position: &mut DVec3| *position = turned.apply(self.normalization.invert(*position));
-        self.original.positions.iter_mut().for_each(map);
-        self.working.mesh.positions.iter_mut().for_each(map);
-        self.working.welded.mesh.positions.iter_mut().for_each(map);
-        self.normalization = turned;
-    }
-
-    /// Unit normal and one point of a plane of the normalised frame, in upload space.
-    fn plane_in_upload(&self, plane: &SymmetryPlane) -> (DVec3, DVec3) {
-        let point = self.normalization.invert(plane.normal * plane.offset);
-        let beyond = self.normalization.invert(plane.normal * (plane.offset + 1.0));
-        ((beyond - point).normalize_or_zero(), point)
-    }
-}
-
-/// Enough to find the facing; the plane itself is found again with all samples.
-const FACING_SAMPLES: usize = 1_000;
-/// Half a degree: less than that no rig can tell.
-const FACING_TOLERANCE: f64 = 0.0087;
 
 /// The plane to make left and right alike about, if any.
 fn mirror_plane(best: &SymmetryPlane, symmetry: Symmetry) -> Option<SymmetryPlane> {
@@ -187,42 +131,6 @@ fn connect(
     Ok(Skeleton::from_tree(joints, &tree).0)
 }
 
-/// Volumetric distances and the skin network (Section 4.3), cleaned and bounded. Second: vertices that no weight reached.
-fn skin(
-    shape: &Shape,
-    graph: &ShapeGraph,
-    nets: &RigNets,
-    skeleton: &Skeleton,
-    options: &RigOptions,
-    watch: Watch,
-) -> Result<(SkinWeights, usize), RigError> {
-    let bones = skeleton.bones();
-    let segments: Vec<(DVec3, DVec3)> = bones.iter().map(|bone| (bone.start, bone.end)).collect();
-    let distances = shape.bone_distances(&segments);
-    watch.cancellation.check()?;
-    let features = bone_features(&distances, &bones);
-    let vertex_count = graph.vertex_count();
-    let logits = nets.skin_logits(
-        graph,
-        rows(&features.values, vertex_count, NEAREST_BONES * BONE_CHANNELS),
-        rows(&features.mask, vertex_count, NEAREST_BONES),
-        watch.cancellation,
-    )?;
-    let logits: Vec<f32> = logits.iter().copied().collect();
-    let mut weights =
-        BoneWeights::from_logits(&logits, &features, bones.len()).one_ring_mean(&shape.one_ring).pruned(PRUNE_SHARE);
-    for _ in 0..SMOOTHINGS {
-        weights = weights.smoothed(&shape.one_ring);
-    }
-    let weights = weights.pruned(TRACE_SHARE);
-    Ok(SkinWeights::from_bones(&weights, &bones, &features.nearest, options.max_influences))
-}
-
 fn points(array: ArrayView2<f32>) -> Vec<DVec3> {
     array.rows().into_iter().map(|row| DVec3::new(row[0].into(), row[1].into(), row[2].into())).collect()
-}
-
-/// A flat buffer as `[rows, columns]`.
-fn rows(values: &[f32], rows: usize, columns: usize) -> ArrayView2<'_, f32> {
-    ArrayView2::from_shape((rows, columns), values).expect("features hold one row per vertex")
 }

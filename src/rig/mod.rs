@@ -5,7 +5,7 @@
 //! | displaced points → joints             | [`detect_joints`], made of [`joint_clustering`], [`non_maximum_suppression`], [`symmetrize`] |
 //! | joints → tree → skeleton, bones       | [`spanning_tree`], [`skeleton`]                                   |
 //! | bone distances → what the network reads | [`bone_features`]                                               |
-//! | logits → weights                      | [`bone_weights`], [`skin_weights`]                                |
+//! | logits or distances → weights         | [`bone_weights`], [`distance_falloff`], [`skin_weights`]          |
 //! | rig → posed mesh, figures             | [`bind_pose`], [`forward_kinematics`], [`linear_blend_skinning`], [`quality`] |
 
 pub mod bind_pose;
@@ -13,6 +13,7 @@ pub mod bone_features;
 pub mod bone_weights;
 mod cell_grid;
 pub mod detect_joints;
+pub mod distance_falloff;
 pub mod forward_kinematics;
 pub mod joint_clustering;
 mod joint_levels;

@@ -13,3 +13,4 @@ mod jobs_store;
 mod metamorphic;
 mod pipeline;
 mod program;
+mod skin;

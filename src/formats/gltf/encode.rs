@@ -21,14 +21,25 @@ pub struct EncodeOptions {
     /// Most joints per vertex; more than four make a second set, which three.js, Godot and Filament ignore.
     pub influences_max: usize,
     pub weights: WeightFormat,
+    pub names: JointNames,
     /// Goes to `asset.extras.rigsmith`: method, model digests and the like.
     pub provenance: Option<Value>,
 }
 
 impl Default for EncodeOptions {
     fn default() -> Self {
-        Self { influences_max: 4, weights: WeightFormat::Float, provenance: None }
+        Self { influences_max: 4, weights: WeightFormat::Float, names: JointNames::Plain, provenance: None }
     }
+}
+
+/// How joints are named in the output.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum JointNames {
+    /// Plain ASCII, and different from every name in the document.
+    #[default]
+    Plain,
+    /// As the skeleton has them: a sender's own names, which animations and scripts refer to.
+    AsGiven,
 }
 
 /// Why no file could be written. The rig is at fault, or this program; never the sender.
@@ -78,11 +89,19 @@ pub fn encode_gltf(asset: &Asset, rig: &Rig, options: &EncodeOptions) -> Result<
     Ok(json.to_string().into_bytes())
 }
 
-/// Joint names as they stand in the output: plain ASCII, and different from every name in the document.
-pub fn joint_names(asset: &Asset, skeleton: &Skeleton) -> Vec<String> {
-    match &asset.source {
-        Source::Gltf(document) => unique_names(names_in(&document.json), skeleton),
-        Source::Scene(scene) => unique_names(scene.nodes.iter().map(|node| node.name.clone()).collect(), skeleton),
+/// Joint names as they stand in the output.
+pub fn joint_names(asset: &Asset, skeleton: &Skeleton, names: JointNames) -> Vec<String> {
+    let taken = || match &asset.source {
+        Source::Gltf(document) => names_in(&document.json),
+        Source::Scene(scene) => scene.nodes.iter().map(|node| node.name.clone()).collect(),
+    };
+    named(taken, skeleton, names)
+}
+
+fn named(taken: impl FnOnce() -> BTreeSet<String>, skeleton: &Skeleton, names: JointNames) -> Vec<String> {
+    match names {
+        JointNames::Plain => unique_names(taken(), skeleton),
+        JointNames::AsGiven => skeleton.joints.iter().map(|joint| joint.name.clone()).collect(),
     }
 }
 
@@ -105,7 +124,7 @@ fn with_skin(
         return Err(EncodeError::RowCount { rows: rig.skin.rows.len(), vertices });
     }
     let (mut json, mut binary) = (document.json.clone(), document.binary.clone());
-    let skin = add_skin(&mut json, &mut binary, document, &rig.skeleton);
+    let skin = add_skin(&mut json, &mut binary, document, &rig.skeleton, options.names);
     let slots = Slots::new(rig, options)?;
     add_weights(&mut json, &mut binary, document, &slots);
     for primitive in &document.skinned {
@@ -138,8 +157,14 @@ fn check_skeleton(skeleton: &Skeleton) -> Result<(), EncodeError> {
 }
 
 /// Appends joint nodes, inverse bind matrices and the skin; returns the skin's index.
-fn add_skin(json: &mut Value, binary: &mut Vec<u8>, document: &Document, skeleton: &Skeleton) -> usize {
-    let names = unique_names(names_in(json), skeleton);
+fn add_skin(
+    json: &mut Value,
+    binary: &mut Vec<u8>,
+    document: &Document,
+    skeleton: &Skeleton,
+    names: JointNames,
+) -> usize {
+    let names = named(|| names_in(json), skeleton, names);
     let first = items(json, "nodes").len();
     let mut rest: Vec<DVec3> = Vec::with_capacity(skeleton.joints.len());
     let mut matrices = Vec::with_capacity(skeleton.joints.len() * 64);

@@ -24,7 +24,7 @@ mod skin_weights;
 mod triangles;
 
 pub use decode::decode;
-pub use encode::{EncodeError, EncodeOptions, encode_glb, encode_gltf, joint_names};
+pub use encode::{EncodeError, EncodeOptions, JointNames, encode_glb, encode_gltf, joint_names};
 pub use skin_weights::WeightFormat;
 
 use serde_json::Value;

@@ -21,6 +21,8 @@ pub enum Code {
     InvalidParameter,
     InvalidMultipart,
     UploadIncomplete,
+    Unauthenticated,
+    RateLimited,
     NotFound,
     Expired,
     MethodNotAllowed,
@@ -47,12 +49,14 @@ pub struct Facts {
 impl Code {
     /// All codes, for the pages that explain them.
     pub fn all() -> impl Iterator<Item = Code> {
-        const OF_REQUESTS: [Code; 18] = [
+        const OF_REQUESTS: [Code; 20] = [
             Code::InvalidJson,
             Code::UnknownField,
             Code::InvalidParameter,
             Code::InvalidMultipart,
             Code::UploadIncomplete,
+            Code::Unauthenticated,
+            Code::RateLimited,
             Code::NotFound,
             Code::Expired,
             Code::MethodNotAllowed,
@@ -81,6 +85,8 @@ impl Code {
             Code::InvalidParameter => ("invalid_parameter", Status::BAD_REQUEST, "Invalid parameter", "A value is of the wrong kind, out of range, or contradicts another one; errors names each."),
             Code::InvalidMultipart => ("invalid_multipart", Status::BAD_REQUEST, "The form cannot be read", "The body is not the multipart/form-data that its Content-Type declares."),
             Code::UploadIncomplete => ("upload_incomplete", Status::BAD_REQUEST, "The upload ended early", "The connection closed before the declared body was complete. Nothing was kept."),
+            Code::Unauthenticated => ("unauthenticated", Status::UNAUTHORIZED, "Who are you?", "This service asks for a key: Authorization: Bearer and the key. The one sent, if any, is not known."),
+            Code::RateLimited => ("rate_limited", Status::TOO_MANY_REQUESTS, "Too many requests", "The key asks more often than it may. RateLimit says what is left; come back after Retry-After seconds."),
             Code::NotFound => ("not_found", Status::NOT_FOUND, "Not found", "There is no such path, job or artifact, or it is forgotten."),
             Code::Expired => ("expired", Status::GONE, "Results expired", "The job succeeded, but its files are no longer kept."),
             Code::MethodNotAllowed => ("method_not_allowed", Status::METHOD_NOT_ALLOWED, "Method not allowed", "The path exists, but not for this HTTP method; Allow names those that do."),
@@ -105,6 +111,7 @@ impl Code {
             Code::Work(Work::UnsupportedExtension) => ("unsupported_extension", Status::UNPROCESSABLE_ENTITY, "A required extension is not supported", "The file requires a glTF extension that is not read here."),
             Code::Work(Work::MissingResource) => ("missing_resource", Status::UNPROCESSABLE_ENTITY, "A file is missing", "The main file refers to another one that was not sent."),
             Code::Work(Work::AlreadyRigged) => ("already_rigged", Status::UNPROCESSABLE_ENTITY, "The file has a skeleton", "Send existing_rig=replace to remove it and make a new one."),
+            Code::Work(Work::SkeletonInvalid) => ("skeleton_invalid", Status::UNPROCESSABLE_ENTITY, "The skeleton cannot be used", "The skeleton sent along is no tree of named joints with finite positions; detail names the joint."),
             Code::Work(Work::NotRiggable) => ("not_riggable", Status::UNPROCESSABLE_ENTITY, "The mesh cannot be rigged", "The mesh is readable, but not fit for a skeleton."),
             Code::Work(Work::NoJointsFound) => ("no_joints_found", Status::UNPROCESSABLE_ENTITY, "No joints found", "The method found no joints in this mesh, with any setting that it tried."),
             Code::Work(Work::DegenerateSkeleton) => ("degenerate_skeleton", Status::UNPROCESSABLE_ENTITY, "Degenerate skeleton", "The joints found make no usable skeleton."),
@@ -170,7 +177,7 @@ impl ApiError {
         self
     }
 
-    fn retry_after(mut self, time: Duration) -> Self {
+    pub fn retry_after(mut self, time: Duration) -> Self {
         self.about.retry_after = Some(time);
         self
     }
@@ -263,6 +270,7 @@ impl ApiError {
                 code,
                 Code::QueueFull
                     | Code::QuotaExceeded
+                    | Code::RateLimited
                     | Code::IdempotencyInProgress
                     | Code::Starting
                     | Code::UploadTimeout

@@ -3,7 +3,7 @@
 use super::error::Limit;
 use super::timestamp::rfc3339;
 use crate::formats::Severity;
-use crate::jobs::options::axis_name;
+use crate::jobs::options::{axis_name, skin_method_name};
 use crate::jobs::{
     ArtifactInfo, FileInfo, Job, JobError, JobRequest, JobResult, JobState, LevelOfDetail, ModelInfo, Notice,
     RigOptions,
@@ -84,6 +84,10 @@ pub struct OptionsView {
     #[param(required = false, default = "auto")]
     #[schema(example = "auto")]
     pub symmetry: &'static str,
+    /// What weighs the vertices: `auto`, `rignet` or `geodesic_voxel`.
+    #[param(required = false, default = "auto")]
+    #[schema(example = "auto")]
+    pub skin_method: &'static str,
     /// Joints per vertex at most.
     #[param(required = false, default = 4, minimum = 1, maximum = 8)]
     #[schema(example = 4, minimum = 1, maximum = 8)]
@@ -353,6 +357,7 @@ impl From<&RigOptions> for OptionsView {
             detail,
             bandwidth,
             symmetry: options.symmetry.name(),
+            skin_method: skin_method_name(options.skin_method),
             max_influences: options.max_influences,
             seed: options.seed,
             up: axis_name(options.up),

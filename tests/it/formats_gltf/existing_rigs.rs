@@ -2,6 +2,7 @@
 
 use super::fixtures::*;
 use glam::{DMat4, DVec3};
+use rigsmith::formats::gltf::{EncodeOptions, JointNames, encode_glb, joint_names};
 use rigsmith::formats::{Asset, DecodeError, ExistingRig};
 use serde_json::json;
 use std::path::Path;
@@ -113,7 +114,13 @@ fn joints_are_named_unlike_any_node_or_mesh() {
     let asset = read(&builder.glb()).unwrap();
     let mut rig = simple_rig(&asset);
     rig.skeleton.joints[2].name = "Kopf: é/x".into();
-    assert_eq!(rigsmith::formats::gltf::joint_names(&asset, &rig.skeleton), ["hips_2", "spine_2", "Kopf____x"]);
+    assert_eq!(joint_names(&asset, &rig.skeleton, JointNames::Plain), ["hips_2", "spine_2", "Kopf____x"]);
+    let given = joint_names(&asset, &rig.skeleton, JointNames::AsGiven);
+    assert_eq!(given, ["hips", "spine", "Kopf: é/x"], "a sender's own names stay");
+    let options = EncodeOptions { names: JointNames::AsGiven, ..EncodeOptions::default() };
+    let (json, _) = open(&encode_glb(&asset, &rig, &options).unwrap());
+    let nodes = json["nodes"].as_array().unwrap();
+    assert_eq!(nodes[json["skins"][0]["joints"][2].as_u64().unwrap() as usize]["name"], "Kopf: é/x");
 }
 
 #[test]

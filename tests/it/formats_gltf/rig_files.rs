@@ -1,6 +1,7 @@
 //! `rig.json` and RigNet's text.
 
 use super::fixtures::*;
+use rigsmith::formats::gltf::JointNames;
 use rigsmith::formats::{rig_json, rignet_text};
 use serde_json::{Value, json};
 
@@ -10,7 +11,7 @@ fn a_rig_file_has_the_fixed_layout() {
     builder.root(json!({ "mesh": 0, "translation": [3, 0, 0] }));
     let asset = read(&builder.glb()).unwrap();
     let rig = simple_rig(&asset);
-    let text = rig_json::write(&asset, &rig, "rignet", &json!({ "joints": 3 }));
+    let text = rig_json::write(&asset, &rig, JointNames::Plain, "rignet", &json!({ "joints": 3 }));
     let read: Value = serde_json::from_slice(&text).unwrap();
     let keys: Vec<&String> = read.as_object().unwrap().keys().collect();
     assert_eq!(keys, ["format", "method", "joints", "skins", "report"]);
@@ -31,7 +32,7 @@ fn a_rig_file_has_the_fixed_layout() {
 fn a_rig_file_is_read_as_it_was_written() {
     let asset = read(&plain().glb()).unwrap();
     let rig = simple_rig(&asset);
-    let file = rig_json::read(&rig_json::write(&asset, &rig, "rignet", &json!({ "a": 1 }))).unwrap();
+    let file = rig_json::read(&rig_json::write(&asset, &rig, JointNames::Plain, "rignet", &json!({ "a": 1 }))).unwrap();
     assert_eq!(file.method, "rignet");
     assert_eq!(file.skeleton, rig.skeleton);
     assert_eq!(file.skins[0].weights, rig.skin);
@@ -42,12 +43,37 @@ fn a_rig_file_is_read_as_it_was_written() {
 fn each_fault_of_a_rig_file_is_named() {
     let asset = read(&plain().glb()).unwrap();
     let good: Value =
-        serde_json::from_slice(&rig_json::write(&asset, &simple_rig(&asset), "rignet", &json!({}))).unwrap();
+        serde_json::from_slice(&rig_json::write(&asset, &simple_rig(&asset), JointNames::Plain, "rignet", &json!({})))
+            .unwrap();
     type Change = fn(&mut Value);
     let cases: &[(&str, &str, Change)] = &[
         ("skeleton_invalid", "the format is \"other/1\"", |json| json["format"] = json!("other/1")),
         ("skeleton_invalid", "the skeleton has no joints", |json| json["joints"] = json!([])),
-        ("skeleton_invalid", "joint 1 (\"spine\"): its parent", |json| json["joints"][1]["parent"] = json!(2)),
+        ("skeleton_invalid", "joint 1 (\"spine\"): its parent, joint 7, does not exist: there are 3", |json| {
+            json["joints"][1]["parent"] = json!(7);
+        }),
+        ("skeleton_invalid", "joint 1 (\"spine\"): its parent, joint 2, hangs below it", |json| {
+            json["joints"][1]["parent"] = json!(2);
+            json["joints"][2]["parent"] = json!(1);
+        }),
+        ("skeleton_invalid", "joint 1 (\"spine\"): its parent, joint 1, hangs below it", |json| {
+            json["joints"][1]["parent"] = json!(1);
+        }),
+        ("skeleton_invalid", "joint 1 (\"spine\"): its parent, joint 2, does not come before", |json| {
+            json["joints"][1]["parent"] = json!(2);
+            json["joints"][2]["parent"] = json!(0);
+        }),
+        ("skeleton_invalid", "joint 0 (\"hips\"): its parent, joint 0, hangs below it", |json| {
+            json["joints"][0]["parent"] = json!(0);
+        }),
+        ("skeleton_invalid", "joint 1 (\"spine\"): its name is empty", |json| json["joints"][1]["name"] = json!("")),
+        ("skeleton_invalid", "joint 1 (\"spine\"): its position is not finite", |json| {
+            json["joints"][1]["position"] = json!([1e300, 0, 0]);
+        }),
+        ("skeleton_invalid", "the skeleton has 1001 joints", |json| {
+            let joint = json["joints"][1].clone();
+            json["joints"] = vec![joint; 1001].into();
+        }),
         ("skeleton_invalid", "joint 2 (\"head\"): only the first", |json| json["joints"][2]["parent"] = Value::Null),
         ("skeleton_invalid", "joint 1 (\"hips\"): another joint", |json| json["joints"][1]["name"] = json!("hips")),
         ("skeleton_invalid", "skin 0, vertex 3: joint 9", |json| json["skins"][0]["joints"][3][0] = json!(9)),

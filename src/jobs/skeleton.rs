@@ -1,0 +1,34 @@
+//! A skeleton that comes with a request: read once, at the door, so that a faulty one never enters the queue.
+
+use super::failure::{ErrorCode, JobError};
+use crate::formats::rig_json::{self, RigFileError};
+use crate::rig::Skeleton;
+use std::sync::Arc;
+
+/// Reads the skeleton of a `rigsmith.rig/1` file for [`super::RigOptions::skeleton`]. Weights and report are not looked at
+/// beyond their form; positions are in the space of the upload that the skeleton is for.
+pub fn read_skeleton(bytes: &[u8]) -> Result<Arc<Skeleton>, JobError> {
+    match rig_json::read(bytes) {
+        Ok(file) => Ok(Arc::new(file.skeleton)),
+        Err(error) => Err(refusal(&error)),
+    }
+}
+
+fn refusal(error: &RigFileError) -> JobError {
+    JobError::new(ErrorCode::SkeletonInvalid, error.to_string()).hint(error.hint())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_skeleton_alone_is_enough_and_a_faulty_one_is_refused_by_name() {
+        let file =
+            br#"{"format": "rigsmith.rig/1", "joints": [{"name": "hips", "parent": null, "position": [0, 1, 0]}]}"#;
+        assert_eq!(read_skeleton(file).expect("reads").joints[0].name, "hips");
+        let error = read_skeleton(b"{}").expect_err("refused");
+        assert_eq!(error.code, ErrorCode::SkeletonInvalid);
+        assert!(!error.hint.is_empty());
+    }
+}
