@@ -31,7 +31,7 @@ pub use job::{ArtifactInfo, FileInfo, Job, JobId, JobRequest, JobResult, JobStat
 pub use ledger::Denied;
 pub use options::{
     DEFAULT_DETAIL, DEFAULT_MAX_INFLUENCES, ExistingRigPolicy, FieldError, FieldProblem, LevelOfDetail, OptionsReader,
-    Output, RigOptions, SkinMethod, Symmetry,
+    Output, RigOptions, Skeleton, SkinMethod, Symmetry,
 };
 pub use perform::{
     Artifact, Availability, MethodInfo, ModelInfo, NamedFile, Outcome, Readiness, RigRequest, Rigger, Timing, Watch,

@@ -3,8 +3,7 @@
 
 use crate::formats::Axis;
 pub use crate::formats::ExistingRigPolicy;
-pub use crate::pipelines::{LevelOfDetail, SkinMethod, Symmetry};
-use crate::rig::Skeleton;
+pub use crate::pipelines::{LevelOfDetail, Skeleton, SkinMethod, Symmetry};
 use serde_json::Value;
 use std::fmt;
 use std::ops::RangeInclusive;
