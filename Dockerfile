@@ -1,6 +1,9 @@
 # The service in a small image: the program, ONNX Runtime and the networks; no Python, no compiler, not root.
 #
-#   docker build -t rigsmith . && docker run --rm -p 8080:8080 rigsmith
+#   docker build -t rigsmith .
+#   docker run --rm -p 127.0.0.1:8080:8080 -e RIGSMITH_ALLOW_ANONYMOUS=true rigsmith
+#
+# For others to call it, give it keys instead: -v $PWD/keys.toml:/etc/rigsmith/keys.toml -e RIGSMITH_KEYS=/etc/rigsmith/keys.toml
 
 # ONNX Runtime's shared library, pinned by digest (tools/).
 FROM python:3.12-slim-bookworm AS onnxruntime

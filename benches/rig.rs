@@ -12,7 +12,7 @@ use rigsmith::rig::detect_joints::{Evidence, Fineness, detect_joints};
 use rigsmith::rig::joint_clustering::{MeanShift, mean_shift};
 use rigsmith::rig::skeleton::Bone;
 use rigsmith::rig::spanning_tree::{BoneCosts, Tree, symmetric_spanning_tree};
-use rigsmith::rig::symmetrize::{Side, with_images};
+use rigsmith::rig::symmetrize::Side;
 use std::hint::black_box;
 
 const PLANE: SymmetryPlane = SymmetryPlane { normal: DVec3::X, offset: 0.0, score: 1.0 };
@@ -45,9 +45,10 @@ fn clustering(criterion: &mut Criterion) {
     group.sample_size(10);
     for vertex_count in [1_000, 2_500, 5_000] {
         let (vertices, displaced, attention) = evidence(vertex_count);
-        let (points, twice) = (with_images(&displaced, &PLANE), attention.repeat(2));
-        group.bench_function(BenchmarkId::new("mean_shift", 2 * vertex_count), |bench| {
-            bench.iter(|| mean_shift(black_box(&points), &twice, &MeanShift::ours(0.05), &Cancellation::default()));
+
+        group.bench_function(BenchmarkId::new("mean_shift", vertex_count), |bench| {
+            let rule = MeanShift::ours(0.05);
+            bench.iter(|| mean_shift(black_box(&displaced), &attention, Some(&PLANE), &rule, &Cancellation::default()));
         });
         let evidence = Evidence { vertices: &vertices, displaced: &displaced, attention: &attention };
         group.bench_function(BenchmarkId::new("detect_joints", vertex_count), |bench| {

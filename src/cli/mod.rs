@@ -1,17 +1,19 @@
 //! The command line: parse, read files, call the library, write files, say what happened.
 
 mod check;
+mod config;
 mod failure;
 mod features;
 mod files;
+mod keys;
 mod methods;
 mod rig;
 mod serve;
 mod skin;
 
-use clap::{Args, Parser, Subcommand};
+use clap::{Args, CommandFactory, Parser, Subcommand};
+use rigsmith::config::EngineConfig;
 use rigsmith::pipelines::LoadOptions;
-use std::path::PathBuf;
 use std::process::ExitCode;
 
 /// Rigs characters: a mesh in, the same file with a skeleton and skin weights out.
@@ -37,51 +39,58 @@ enum Command {
     Methods,
     /// Start the HTTP service.
     Serve(serve::ServeArguments),
+    /// Print the settings that `serve` would use, each with where it comes from, as a configuration file.
+    Config(config::ConfigArguments),
+    /// Make, list and remove the keys that callers of a service show.
+    #[command(subcommand)]
+    Keys(keys::KeysCommand),
     /// Ask a running service whether it is ready; for container health checks.
     Health(serve::HealthArguments),
     /// Compute the arrays that the networks are trained on, by the code that the service runs.
     Features(features::FeaturesArguments),
 }
 
+/// Variables of the environment that are no settings of the service.
+const OTHER_VARIABLES: [&str; 2] = ["RIGSMITH_SERVER", "RIGSMITH_KEY"];
+
 /// Where the networks are and how many threads they get.
 #[derive(Args)]
 struct EngineOptions {
-    /// Folder with manifest.json and the networks.
-    #[arg(long, global = true, value_name = "DIR", env = rigsmith::nets::locate::MODELS_VARIABLE)]
-    models: Option<PathBuf>,
-    /// ONNX Runtime's shared library.
-    #[arg(long, global = true, value_name = "FILE", env = rigsmith::nets::locate::RUNTIME_VARIABLE)]
-    onnxruntime: Option<PathBuf>,
-    /// Threads of one job; by default the cores divided by the workers.
-    #[arg(long, global = true, value_name = "N", env = "RIGSMITH_THREADS", value_parser = clap::value_parser!(u16).range(1..=512))]
-    threads: Option<u16>,
+    #[command(flatten)]
+    config: EngineConfig,
 }
 
 impl EngineOptions {
     /// Workers × threads stay within the cores, unless the caller says otherwise.
     fn load_options(&self, workers: usize) -> LoadOptions {
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
-        let threads = self.threads.map_or((cores / workers.max(1)).max(1), usize::from);
+        let threads = self.config.threads.map_or((cores / workers.max(1)).max(1), usize::from);
         // Fails only when the pool stands already, which a second engine of one process shares.
         let _ = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global();
-        LoadOptions { onnxruntime: self.onnxruntime.clone(), models: self.models.clone(), threads }
+        LoadOptions { onnxruntime: self.config.onnxruntime.clone(), models: self.config.models.clone(), threads }
     }
 }
 
 /// Runs the program; the exit status says who must act.
 pub fn run() -> ExitCode {
-    let cli = Cli::parse();
-    let done = match cli.command {
+    match run_command() {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => failure.report(),
+    }
+}
+
+fn run_command() -> Result<(), failure::Failure> {
+    let layered = config::parse(Cli::command())?;
+    let cli: Cli = config::read(&layered.matches)?;
+    match cli.command {
         Command::Rig(arguments) => rig::run(&arguments, &cli.engine),
         Command::Skin(arguments) => skin::run(&arguments, &cli.engine),
         Command::Check(arguments) => check::run(&arguments),
         Command::Methods => methods::run(&cli.engine),
         Command::Serve(arguments) => serve::run(arguments, &cli.engine),
+        Command::Config(_) => config::run(&layered),
+        Command::Keys(command) => keys::run(&command),
         Command::Health(arguments) => serve::health(&arguments),
         Command::Features(arguments) => features::run(&arguments),
-    };
-    match done {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(failure) => failure.report(),
     }
 }

@@ -5,11 +5,14 @@ use super::failure::Failure;
 use clap::Args;
 use rigsmith::config::ServeConfig;
 use rigsmith::jobs::Engine;
+use rigsmith::server::ServeError;
+use rigsmith::telemetry::TelemetryError;
+use rigsmith::telemetry::traces::Collector;
 use rigsmith::{server, telemetry};
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 #[derive(Args)]
 pub struct ServeArguments {
@@ -26,16 +29,29 @@ pub struct HealthArguments {
 
 pub fn run(arguments: ServeArguments, engine: &EngineOptions) -> Result<(), Failure> {
     let config = arguments.config;
-    telemetry::init(config.log_format, &config.log).map_err(|error| Failure::arguments(error.to_string()))?;
+    let arguments_wrong = |error: TelemetryError| Failure::arguments(error.to_string());
+    let headers = config.otlp_headers.as_deref();
+    let collector = config.otlp_endpoint.as_deref().map(|endpoint| Collector::new(endpoint, headers)).transpose();
+    let collector = collector.map_err(arguments_wrong)?;
+    let _telemetry = telemetry::init(config.log_format, &config.log, collector.as_ref()).map_err(arguments_wrong)?;
+    super::config::warn_of_unknown_variables();
+    if config.metrics_listen.is_some() {
+        telemetry::metrics::install();
+    }
     // A service without its networks would only ever refuse: better to stop here, where the operator sees it.
+    let began = Instant::now();
     let engine = Engine::open(&engine.load_options(config.workers))?;
+    metrics::gauge!(telemetry::metrics::MODEL_LOAD_SECONDS).set(began.elapsed().as_secs_f64());
     let runtime = tokio::runtime::Runtime::new().map_err(|error| Failure::internal(error.to_string(), ""))?;
     let listening = |address: SocketAddr| {
         println!("rigsmith listens on http://{address} (API description: http://{address}/docs)");
     };
-    runtime
-        .block_on(server::serve(&config, Arc::new(engine), listening))
-        .map_err(|error| Failure::internal(error.to_string(), "name another address by --listen, or folder by --data"))
+    runtime.block_on(server::serve(&config, Arc::new(engine), listening)).map_err(|error| match error {
+        ServeError::Unprotected { .. } | ServeError::NoKeys { .. } | ServeError::Keys(_) => {
+            Failure::settings(error.to_string(), error.hint())
+        }
+        error => Failure::internal(error.to_string(), error.hint()),
+    })
 }
 
 /// How long a health check waits for its answer.

@@ -8,25 +8,30 @@
 //! Out: positions and normals `[S, 3]`, S = `count` on any surface with an area.
 //! # Departures from the published code
 //! - Candidates are not drawn from a sequence: every triangle is halved across its longest edge until its pieces are
-//!   small, and each piece holds one candidate where a hash of its place puts it. They do not depend on how the mesh is
-//!   numbered, and mirroring the mesh in x = 0 mirrors them. (The pieces' middles would not do: they form lattices whose
-//!   patches the graph of nearest samples does not join.)
+//!   small, and each piece holds one candidate where a hash of its [`Place`] puts it. So the samples follow the mesh when it is
+//!   renumbered, moved, grown or mirrored in x, and nearly all of them when it is turned a little or changed in places. (The
+//!   pieces' middles would not do: they form lattices whose patches the graph of nearest samples does not join.)
 //! - Candidates on opposite sides of something thin do not crowd each other out.
 
 use super::close_pairs::for_each_close_pair;
-use super::place_hash::place_hash;
+use super::place_hash::mix;
 use crate::mesh::Mesh;
 use glam::{DVec3, I64Vec3};
 use std::cmp::Ordering;
-use std::collections::{BinaryHeap, HashSet};
+use std::collections::{BinaryHeap, HashMap};
 
 /// How many samples the surface distances use.
 pub const SAMPLE_COUNT: usize = 4_000;
 /// At least this many candidates per sample; about 1.4 times as many come, since pieces are halved. Yuksel's quality
 /// rises little beyond that.
 const CANDIDATES_PER_SAMPLE: usize = 3;
-/// Candidates of fine triangles nearer than this share of the radius are not needed: they would only cost time.
+/// A piece smaller than this share of the largest holds a candidate only as often as its area says: the candidates of fine
+/// triangles are not all needed and would only cost time.
+const SMALL_PIECE: f64 = 0.125;
+/// At most [`CROWD_MAX`] candidates are kept in a cell this wide, in radii: a bound on the work for surfaces in many layers,
+/// which no sound mesh meets.
 const CROWDED: f64 = 0.2;
+const CROWD_MAX: u32 = 12;
 /// Candidates whose normals have a cosine at or below this lie on opposite sides (as in the surface distance).
 const OPPOSITE: f64 = -0.5;
 
@@ -45,8 +50,13 @@ impl SurfaceSamples {
         if !(area > 0.0 && area.is_finite()) || count == 0 {
             return Self::default();
         }
-        let mut candidates = candidates(mesh, area / (count * CANDIDATES_PER_SAMPLE) as f64);
+        let frame = Frame::new(mesh, area);
         let radius = 2.0 * (area / (2.0 * 3f64.sqrt() * count as f64)).sqrt();
+        let piece_area = area / (count * CANDIDATES_PER_SAMPLE) as f64;
+        let mut candidates = candidates(mesh, &frame, piece_area, SMALL_PIECE * piece_area);
+        if candidates.len() < count {
+            candidates = self::candidates(mesh, &frame, piece_area, 0.0);
+        }
         thin_out(&mut candidates, CROWDED * radius, count);
         let kept = eliminate(&candidates, radius, count);
         let (positions, normals) =
@@ -55,27 +65,71 @@ impl SurfaceSamples {
     }
 }
 
+/// The vertical through the middle of a surface, and its size: they turn, mirror, move and grow with it.
+struct Frame {
+    /// Mean position over the surface.
+    center: DVec3,
+    /// Square root of the area.
+    size: f64,
+}
+
+/// Height and distance from the vertical, in [`GRAIN`]s, and the sector of the angle between the horizontal offset and z,
+/// left and right alike. The same for a point and its image when the surface is moved, grown or mirrored in x; almost always
+/// when it is turned a little about the vertical, or a few vertices change. (Without sectors the samples of a round body would
+/// lie in rings that the graph of nearest samples does not join.)
+type Place = [i64; 3];
+
+/// Places nearer than about this share of the surface's size are one: far above what a few vertices more or less shift the
+/// middle by, below the spacing of samples.
+const GRAIN: f64 = 1.0 / 512.0;
+/// Sectors of half a turn.
+const SECTORS: f64 = 16.0;
+/// Lengths that differ by less are equal but for rounding.
+const ROUNDING: f64 = 1e-9;
+
+impl Frame {
+    fn new(mesh: &Mesh, area: f64) -> Self {
+        let moment: DVec3 = (0..mesh.triangles.len())
+            .map(|face| mesh.corners(face).into_iter().sum::<DVec3>() * (mesh.area_normal(face).length() / 6.0))
+            .sum();
+        Self { center: moment / area, size: area.sqrt() }
+    }
+
+    fn place(&self, position: DVec3) -> Place {
+        let from = (position - self.center) / self.size;
+        let sector = from.x.abs().atan2(from.z) * SECTORS / std::f64::consts::PI;
+        [from.y / GRAIN, from.x.hypot(from.z) / GRAIN, sector].map(|value| value.round() as i64)
+    }
+}
+
 /// A corner of a piece: position and normal, both linear over the triangle.
 type Corner = (DVec3, DVec3);
 
-/// One point in each piece of at most `piece_area`, sorted by place. Fewer than 2 area / `piece_area` + F.
-fn candidates(mesh: &Mesh, piece_area: f64) -> Vec<Corner> {
+/// One point in each piece of at most `piece_area`, sorted by place; in some of the pieces below `small_area`. Fewer than
+/// 2 area / `piece_area` + F.
+fn candidates(mesh: &Mesh, frame: &Frame, piece_area: f64, small_area: f64) -> Vec<Corner> {
     let normals = mesh.vertex_normals();
     let mut candidates = Vec::new();
     let mut work: Vec<[Corner; 3]> = Vec::new();
+    let places: Vec<Place> = mesh.positions.iter().map(|&position| frame.place(position)).collect();
     for triangle in &mesh.triangles {
-        let mut corners = triangle.map(|corner| (mesh.positions[corner as usize], normals[corner as usize]));
         // In order of place, so that the pieces do not depend on the order of corners.
-        corners.sort_by(|a, b| order_of_place(a.0, b.0));
-        work.push(corners);
+        let mut order = *triangle;
+        order.sort_by(|&a, &b| {
+            let (a, b) = (a as usize, b as usize);
+            places[a].cmp(&places[b]).then_with(|| by_axes(mesh.positions[a], mesh.positions[b]))
+        });
+        work.push(order.map(|corner| (mesh.positions[corner as usize], normals[corner as usize])));
         // Halving ends: each half has half the area.
         while let Some([a, b, c]) = work.pop() {
             let area = 0.5 * (b.0 - a.0).cross(c.0 - a.0).length();
             if area > piece_area {
                 let (ab, bc, ca) = (a.0.distance_squared(b.0), b.0.distance_squared(c.0), c.0.distance_squared(a.0));
-                let (from, to, other) = if ab >= bc && ab >= ca {
+                // Edges that differ by rounding alone are equally long; the first of them is halved.
+                let longest = ab.max(bc).max(ca) * (1.0 - ROUNDING);
+                let (from, to, other) = if ab >= longest {
                     (a, b, c)
-                } else if bc >= ca {
+                } else if bc >= longest {
                     (b, c, a)
                 } else {
                     (a, c, b)
@@ -83,42 +137,59 @@ fn candidates(mesh: &Mesh, piece_area: f64) -> Vec<Corner> {
                 let middle = ((from.0 + to.0) * 0.5, (from.1 + to.1) * 0.5);
                 work.extend([[from, middle, other], [middle, to, other]]);
             } else if area > 0.0 {
-                let [u, v, w] = scattered((a.0 + b.0 + c.0) / 3.0);
-                let normal = (a.1 * u + b.1 * v + c.1 * w).normalize_or_zero();
-                candidates.push((a.0 * u + b.0 * v + c.0 * w, normal));
+                let [height, distance, sector] = frame.place((a.0 + b.0 + c.0) / 3.0);
+                let bits = mix(height as u64 ^ mix(distance as u64 ^ mix(sector as u64)));
+                if area >= small_area || share(mix(bits)) * small_area < area {
+                    let [u, v, w] = scattered(bits);
+                    let normal = (a.1 * u + b.1 * v + c.1 * w).normalize_or_zero();
+                    candidates.push((a.0 * u + b.0 * v + c.0 * w, normal));
+                }
             }
         }
     }
-    candidates.sort_by(|a, b| order_of_place(a.0, b.0).then_with(|| order_of_place(a.1, b.1)));
-    candidates
+    let mut keyed: Vec<(Place, Corner)> =
+        candidates.into_iter().map(|candidate| (frame.place(candidate.0), candidate)).collect();
+    keyed.sort_by(|(place, a), (other, b)| {
+        place.cmp(other).then_with(|| by_axes(a.0, b.0)).then_with(|| by_axes(a.1, b.1))
+    });
+    keyed.into_iter().map(|(_, candidate)| candidate).collect()
 }
 
-/// By y, z, distance from x = 0, and side last: mirrored meshes are walked in the same order.
-fn order_of_place(a: DVec3, b: DVec3) -> Ordering {
+/// By y, z, distance from x = 0, and side last: meshes mirrored in x = 0 are walked in the same order.
+fn by_axes(a: DVec3, b: DVec3) -> Ordering {
     let by_side = a.x.total_cmp(&b.x);
     a.y.total_cmp(&b.y).then(a.z.total_cmp(&b.z)).then(a.x.abs().total_cmp(&b.x.abs())).then(by_side)
 }
 
-/// Barycentric weights that are even over a triangle and depend on `place` alone, whichever side of x = 0 it is on.
-fn scattered(place: DVec3) -> [f64; 3] {
-    let bits = place_hash(DVec3::new(place.x.abs(), place.y, place.z));
-    let share = |bits: u64| f64::from(bits as u32) / f64::from(u32::MAX);
+/// The low half of 64 bits as a number from 0 to 1.
+fn share(bits: u64) -> f64 {
+    f64::from(bits as u32) / f64::from(u32::MAX)
+}
+
+/// Barycentric weights that are even over a triangle.
+fn scattered(bits: u64) -> [f64; 3] {
     let (first, second) = (share(bits >> 32).sqrt(), share(bits));
     [1.0 - first, first * (1.0 - second), first * second]
 }
 
-/// Keeps the first candidate of each cell of `width` and side of the surface, if `count` remain. Bounds how many
-/// neighbours a candidate can have, however fine the triangles are.
+/// Keeps the first [`CROWD_MAX`] candidates of each cell of `width` and side of the surface, if `count` remain.
 fn thin_out(candidates: &mut Vec<Corner>, width: f64, count: usize) {
-    let mut taken: HashSet<(I64Vec3, usize, bool)> = HashSet::with_capacity(candidates.len());
+    let mut taken: HashMap<(I64Vec3, usize, bool), u32> = HashMap::with_capacity(candidates.len());
     let place = |&(position, normal): &Corner| {
         let axis = normal.abs().max_position();
         ((position / width).floor().as_i64vec3(), axis, normal[axis] < 0.0)
     };
-    let first: Vec<bool> = candidates.iter().map(|candidate| taken.insert(place(candidate))).collect();
-    if taken.len() >= count {
-        let mut first = first.into_iter();
-        candidates.retain(|_| first.next().unwrap_or(false));
+    let within: Vec<bool> = candidates
+        .iter()
+        .map(|candidate| {
+            let taken = taken.entry(place(candidate)).or_default();
+            *taken += 1;
+            *taken <= CROWD_MAX
+        })
+        .collect();
+    if within.iter().filter(|&&within| within).count() >= count {
+        let mut within = within.into_iter();
+        candidates.retain(|_| within.next().unwrap_or(false));
     }
 }
 
@@ -269,6 +340,26 @@ mod tests {
         let (first, second) = (SurfaceSamples::new(&mesh, 500), SurfaceSamples::new(&renumbered, 500));
         assert_eq!(first.positions, second.positions);
         assert!(first.normals.iter().zip(&second.normals).all(|(a, b)| a.distance(*b) < 1e-12));
+    }
+
+    #[test]
+    fn samples_go_along_when_the_mesh_is_turned_a_little_mirrored_moved_or_grown() {
+        // Nothing about it is symmetric.
+        let mesh = joined(&[torus(0.4, 0.15, 40), sphere(DVec3::new(0.3, 0.4, -0.2), 0.2, 30)]);
+        let samples = SurfaceSamples::new(&mesh, 1_000);
+        let turn = glam::DMat3::from_rotation_y(5e-4);
+        let mirror = glam::DMat3::from_diagonal(DVec3::new(-1.0, 1.0, 1.0));
+        for (name, map, scale) in [("turned", turn, 1.0), ("mirrored", mirror, 1.0), ("grown", turn, 3.0)] {
+            let moved = Mesh {
+                positions: mesh.positions.iter().map(|&p| scale * (map * p) + DVec3::new(0.1, 2.0, -0.3)).collect(),
+                triangles: mesh.triangles.clone(),
+            };
+            let found = SurfaceSamples::new(&moved, 1_000);
+            let tree = crate::geometry::point_tree::PointTree::new(&found.positions);
+            let there = |&p: &DVec3| tree.nearest(scale * (map * p) + DVec3::new(0.1, 2.0, -0.3)).unwrap().1 < 1e-12;
+            let kept = samples.positions.iter().filter(|p| there(p)).count();
+            assert!(kept >= 950, "{name}: {kept} of 1000 samples went along");
+        }
     }
 
     #[test]

@@ -37,6 +37,8 @@ const SAMPLES_JUDGED: usize = 1_000;
 /// Best starts that are refined, and steps of refinement of each.
 const STARTS: usize = 4;
 const STEPS: usize = 8;
+/// Steps of the best plane with all samples that judge it.
+const LAST_STEPS: usize = 4;
 /// Another plane must beat x = 0 by this much of the score: poses and props make small differences.
 const CANONICAL_LEAD: f64 = 0.05;
 
@@ -65,11 +67,16 @@ pub fn detect_symmetry_plane(samples: &SurfaceSamples, surface: &Bvh) -> Symmetr
     if canonical.score > 1.0 - CANONICAL_LEAD {
         return canonical; // nothing can lead by enough
     }
-    let best = search.starts().into_par_iter().map(|start| search.judged(search.refined(start))).collect::<Vec<_>>();
-    let best = best.into_iter().fold(canonical, |best, plane| {
+    let refined = |start| search.judged(search.refined(start, SAMPLES_REFINED, STEPS));
+    let best = search.starts().into_par_iter().map(refined).collect::<Vec<_>>();
+    let mut best = best.into_iter().fold(canonical, |best, plane| {
         let lead = if best == canonical { CANONICAL_LEAD } else { 0.0 };
         if plane.score > best.score + lead { plane } else { best }
     });
+    if best != canonical {
+        let last = search.judged(search.refined(best, SAMPLES_JUDGED, LAST_STEPS));
+        best = if last.score > best.score { last } else { best };
+    }
     // The canonical plane, if refinement only wandered around it.
     let near = (best.normal.x - 1.0).abs() < 1e-4 && best.offset.abs() < 1e-3;
     if near { canonical } else { best }
@@ -118,10 +125,10 @@ impl Search<'_> {
         tried.into_iter().map(|(_, plane)| plane).collect()
     }
 
-    /// Fits the plane to what its mirror images find, [`STEPS`] times.
-    fn refined(&self, start: SymmetryPlane) -> SymmetryPlane {
-        (0..STEPS).fold(start, |plane, _| {
-            let pairs = self.some(SAMPLES_REFINED).filter_map(|sample| {
+    /// Fits the plane to what its mirror images find, `steps` times.
+    fn refined(&self, start: SymmetryPlane, count: usize, steps: usize) -> SymmetryPlane {
+        (0..steps).fold(start, |plane, _| {
+            let pairs = self.some(count).filter_map(|sample| {
                 let hit = self.surface.nearest_point_where(plane.reflect(sample), 2.0 * FAR, |_| true)?;
                 Some((DVec2::new(sample.x, sample.z), DVec2::new(hit.position.x, hit.position.z)))
             });

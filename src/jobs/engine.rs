@@ -109,6 +109,10 @@ impl Upload {
 impl Rigger for Engine {
     fn perform(&self, request: &RigRequest, watch: &Watch) -> Result<Outcome, JobError> {
         let (main, siblings) = request.split()?;
+        if request.skeleton.is_some() {
+            return Err(JobError::new(ErrorCode::ModelUnavailable, "no method here makes a skin for a given skeleton")
+                .hint("rig the mesh without a skeleton"));
+        }
         self.rig_file(&main.name, &main.bytes, &siblings, &request.options, watch)
     }
 
@@ -198,7 +202,8 @@ fn axis_words(direction: glam::DVec3) -> &'static str {
 
 fn refusal(error: &DecodeError, watch: &Watch) -> JobError {
     let code = ErrorCode::named(error.code()).unwrap_or(ErrorCode::UnreadableMesh);
-    let refused = JobError { limit: error.limit(), ..JobError::new(code, error.to_string()).hint(error.hint()) };
+    let refused =
+        JobError { limit: error.limit().map(Into::into), ..JobError::new(code, error.to_string()).hint(error.hint()) };
     staged(refused, watch)
 }
 

@@ -3,6 +3,7 @@
 use super::stage::Stage;
 use crate::cancellation::Cancelled;
 use crate::formats::ExceededLimit;
+use std::borrow::Cow;
 
 /// Why there is no rig. The message names the thing; the hint, the next step.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -15,7 +16,22 @@ pub struct JobError {
     /// Empty when there is no next step.
     pub hint: String,
     /// The limit that was passed.
-    pub limit: Option<ExceededLimit>,
+    pub limit: Option<PassedLimit>,
+}
+
+/// A limit that was passed.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct PassedLimit {
+    pub name: Cow<'static, str>,
+    pub max: u64,
+    /// `None` where nobody counted on.
+    pub actual: Option<u64>,
+}
+
+impl From<ExceededLimit> for PassedLimit {
+    fn from(limit: ExceededLimit) -> Self {
+        Self { name: limit.name.into(), max: limit.max, actual: limit.actual }
+    }
 }
 
 impl JobError {
@@ -76,13 +92,15 @@ pub enum ErrorCode {
     NumericalFailure,
     OutputInvalid,
     ModelUnavailable,
+    /// Two workers in turn were lost while they did it.
+    WorkerLost,
     Draining,
     Canceled,
     Internal,
 }
 
 impl ErrorCode {
-    pub const ALL: [ErrorCode; 23] = [
+    pub const ALL: [ErrorCode; 24] = [
         ErrorCode::TooLarge,
         ErrorCode::TooManyFaces,
         ErrorCode::TooManyVertices,
@@ -103,6 +121,7 @@ impl ErrorCode {
         ErrorCode::NumericalFailure,
         ErrorCode::OutputInvalid,
         ErrorCode::ModelUnavailable,
+        ErrorCode::WorkerLost,
         ErrorCode::Draining,
         ErrorCode::Canceled,
         ErrorCode::Internal,
@@ -135,6 +154,7 @@ impl ErrorCode {
             ErrorCode::NumericalFailure => "numerical_failure",
             ErrorCode::OutputInvalid => "output_invalid",
             ErrorCode::ModelUnavailable => "model_unavailable",
+            ErrorCode::WorkerLost => "worker_lost",
             ErrorCode::Draining => "draining",
             ErrorCode::Canceled => "canceled",
             ErrorCode::Internal => "internal",
@@ -163,6 +183,7 @@ impl ErrorCode {
             ErrorCode::NumericalFailure
             | ErrorCode::OutputInvalid
             | ErrorCode::ModelUnavailable
+            | ErrorCode::WorkerLost
             | ErrorCode::Draining
             | ErrorCode::Internal => ErrorClass::Service,
             ErrorCode::Canceled => ErrorClass::Canceled,
@@ -181,6 +202,13 @@ impl ErrorCode {
 
     /// Whether the same request may succeed later, unchanged.
     pub fn retryable(self) -> bool {
-        matches!(self, ErrorCode::Timeout | ErrorCode::OutOfMemory | ErrorCode::ModelUnavailable | ErrorCode::Draining)
+        matches!(
+            self,
+            ErrorCode::Timeout
+                | ErrorCode::OutOfMemory
+                | ErrorCode::ModelUnavailable
+                | ErrorCode::WorkerLost
+                | ErrorCode::Draining
+        )
     }
 }

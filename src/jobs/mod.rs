@@ -1,42 +1,79 @@
 //! Requests for rigs: what is asked, the queue, the workers, and the one call that does the work. Knows nothing of
 //! geometry.
 //!
-//! 1. [`options`]  what a caller may ask for, checked field by field
-//! 2. [`perform`]  [`Rigger`]: request in, artifacts out; the command line and the workers call the same function
-//!    ([`Engine`] is the real one)
-//! 3. [`stage`]    where the work is, and how far that is
-//! 4. [`failure`]  why there is no rig, by who must act
-//! 5. [`upload`]   files while they arrive
-//! 6. [`queue`]    [`Jobs`]: submit, look, wait, cancel, delete; the one way to jobs for every door
-//! 7. [`job`]      what a caller sees
+//! For doors:
 //!
-//! Behind the queue: `ledger` (all jobs, as plain data) and `worker` (threads). Durable jobs will replace these two.
+//! 1. [`options`]     what a caller may ask for, checked field by field
+//! 2. [`upload`]      [`Upload`], [`Received`]: files while they arrive; dropped, they leave nothing
+//! 3. [`submission`]  [`Submission`]: who asks for what, how urgently; [`Refusal`]: why not
+//! 4. [`queue`]       [`Jobs`]: the one way to jobs and assets, see below
+//! 5. [`job`], [`asset`], [`event`], [`page`]  what a caller sees; [`failure`] why there is no rig, by who must act
+//!
+//! | wish | call |
+//! |---|---|
+//! | receive files | [`Jobs::upload`] → [`Upload::begin`], [`Upload::append`], [`Upload::finish`] → [`Received`] |
+//! | keep them | [`Jobs::put_asset`], [`Jobs::asset`], [`Jobs::delete_asset`] |
+//! | a job | [`Jobs::submit`] of [`Submission::new`]`(caller, source, options)`; [`Submitted::replayed`] tells a repetition |
+//! | look | [`Jobs::get`], [`Jobs::get_by_client_id`], [`Jobs::list`], [`Jobs::wait`] |
+//! | watch | [`Jobs::events`] → [`Events::next`]: snapshot, state, progress, warning, artifact, done |
+//! | stop | [`Jobs::cancel`], [`Jobs::delete`] |
+//! | bytes | [`Jobs::open`] by digest → [`Content::stream`](crate::storage::Content::stream) |
+//! | repeat any other POST | [`Jobs::recall`], [`Jobs::remember`] |
+//! | end | [`Jobs::drain`], [`Jobs::idle`], [`Jobs::stop_running`], [`Jobs::close`] |
+//!
+//! Everything is scoped by [`Caller`]: what belongs to one caller is not there for another.
+//!
+//! For the work: [`perform`] ([`Rigger`]: request in, artifacts out; [`Engine`] is the real one) and [`stage`].
+//!
+//! Behind the queue: [`store`] (where jobs are written down, and the rules that hold for them), `worker` (threads),
+//! `keeper` (leases, deadlines, retention), `running` (work in progress), [`memory`], [`cores`], `recipe` (what makes
+//! two requests the same).
 
+pub mod asset;
+pub mod clock;
+mod core;
+pub mod cores;
 mod engine;
+pub mod event;
 pub mod failure;
+mod history;
+pub mod ids;
 pub mod job;
-mod ledger;
+mod keeper;
+pub mod memory;
 pub mod options;
+pub mod page;
 pub mod perform;
 pub mod queue;
+mod recipe;
 mod report;
+mod running;
 mod skeleton;
 pub mod stage;
+pub mod store;
+pub mod submission;
 pub mod upload;
+mod watchers;
 mod worker;
 
+pub use asset::{Asset, PutAsset};
 pub use engine::{Engine, check_file};
-pub use failure::{ErrorClass, ErrorCode, JobError};
-pub use job::{ArtifactInfo, FileInfo, Job, JobId, JobRequest, JobResult, JobState};
-pub use ledger::Denied;
+pub use event::{Event, EventKind};
+pub use failure::{ErrorClass, ErrorCode, JobError, PassedLimit};
+pub use history::Events;
+pub use ids::{AssetId, JobId, NotAnId};
+pub use job::{ArtifactInfo, FileInfo, Job, JobRequest, JobResult, JobState, Notice};
 pub use options::{
     DEFAULT_DETAIL, DEFAULT_MAX_INFLUENCES, ExistingRigPolicy, FieldError, FieldProblem, LevelOfDetail, OptionsReader,
     Output, RigOptions, Skeleton, SkinMethod, Symmetry,
 };
+pub use page::{NoPage, Page};
 pub use perform::{
     Artifact, Availability, MethodInfo, ModelInfo, NamedFile, Outcome, Readiness, RigRequest, Rigger, Timing, Watch,
 };
-pub use queue::{Jobs, Refusal, Settings};
+pub use queue::{Denied, Jobs, Settings, StartError};
 pub use skeleton::read_skeleton;
 pub use stage::Stage;
-pub use upload::{Received, Upload};
+pub use store::{Counts, JobFilter, Remembered, StoreFailure};
+pub use submission::{Caller, Labels, Missing, Priority, Refusal, Source, Submission, Submitted};
+pub use upload::{Received, Upload, asset_sha256};

@@ -33,6 +33,8 @@ pub trait Rigger: Send + Sync {
 pub struct RigRequest {
     pub files: Vec<NamedFile>,
     pub options: RigOptions,
+    /// `rig.json` with a skeleton to keep: only the skin is made.
+    pub skeleton: Option<Bytes>,
 }
 
 impl RigRequest {

@@ -1,21 +1,28 @@
-//! The one way to jobs, for every door: submit, look, wait, cancel, delete. Refuses early instead of queueing without
-//! bound.
-//!
-//! Functions are `async` where a durable store will have to wait for its disk.
+//! The one way to jobs, for every door: submit, look, wait, watch, cancel, delete; keep assets. Refuses early instead
+//! of queueing without bound.
 
+use super::asset::PutAsset;
+use super::clock::{SteadyClock, Timestamp};
+use super::core::{Core, OwnRuntime};
 use super::failure::JobError;
-use super::job::{FileInfo, Job, JobId, JobRequest, JobState};
-use super::ledger::{Denied, Ledger, Stop};
+use super::history::Events;
+use super::ids::{AssetId, JobId};
+use super::job::{Job, JobState};
 use super::options::{FieldError, FieldProblem, RigOptions};
+use super::page::{NoPage, Page, read_token, token};
 use super::perform::{Availability, MethodInfo, NamedFile, Readiness, RigRequest, Rigger, Watch};
+use super::running::Stop;
+use super::store::sqlite::SqliteStore;
+use super::store::{Admission, Change, Counts, JobFilter, JobStore, LEASE, NewFiles, NewJob, Remembered, StoreFailure};
+use super::submission::{Caller, Missing, Refusal, Source, Submission, Submitted};
 use super::upload::{Received, Upload};
-use super::worker;
+use super::{Asset, keeper, memory, recipe, worker};
 use crate::cancellation::Cancellation;
-use crate::storage::{Bundle, Store, StoreError};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use crate::storage::{Bundle, Content, NewBlob, Store, StoreError};
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::time::Duration;
-use tokio::sync::Semaphore;
-use tokio::time::{Instant, timeout_at};
+use tokio::time::{Instant, timeout, timeout_at};
 
 /// Numbers that an operator sets.
 #[derive(Clone, Copy, Debug)]
@@ -24,15 +31,24 @@ pub struct Settings {
     pub workers: usize,
     /// Jobs that may wait.
     pub queue_max: usize,
-    /// Running work is asked to stop after this time.
+    /// Running work is asked to stop after this time, or sooner when the caller says so.
     pub job_time_max: Duration,
-    /// Results are kept this long.
+    /// Results and assets are kept this long.
     pub keep_time: Duration,
-    /// Final jobs are remembered up to this number of jobs.
+    /// Final jobs are remembered this long,
+    pub records_time: Duration,
+    /// and up to this number of jobs.
     pub records_max: usize,
     /// How often deadlines and retention are looked at.
     pub sweep_every: Duration,
+    /// Memory that all running jobs together may take. `None`: [`Settings::memory_max`] decides.
+    pub memory_bytes_max: Option<u64>,
+    /// A worker is taken for lost when it was not heard of for this long.
+    pub lease: Duration,
 }
+
+/// Memory that one job may take, unless the operator says otherwise.
+const JOB_MEMORY_BYTES: u64 = 2 << 30;
 
 impl Default for Settings {
     fn default() -> Self {
@@ -41,94 +57,119 @@ impl Default for Settings {
             queue_max: 100,
             job_time_max: Duration::from_secs(300),
             keep_time: Duration::from_secs(24 * 3600),
+            records_time: Duration::from_secs(30 * 24 * 3600),
             records_max: 10_000,
             sweep_every: Duration::from_millis(500),
+            memory_bytes_max: None,
+            lease: LEASE,
         }
     }
 }
 
-/// Why a request does not become a job.
-#[derive(Debug, thiserror::Error)]
-pub enum Refusal {
-    #[error("the service is starting")]
-    Starting,
-    #[error("the service is stopping")]
-    Draining,
-    #[error("{reason}")]
-    ModelUnavailable { reason: String },
-    #[error("{waiting} jobs are waiting, and no more may")]
-    QueueFull { waiting: usize, retry_after: Duration },
-    #[error("{0}")]
-    Option(FieldError),
-    #[error("the upload could not be stored")]
-    Store(#[source] StoreError),
-    #[error(transparent)]
-    Check(JobError),
+impl Settings {
+    /// Memory that all running jobs together may take: 2 GiB per worker, and no more than three quarters of what the
+    /// machine or container has.
+    pub fn memory_max(&self) -> u64 {
+        let wanted = JOB_MEMORY_BYTES.saturating_mul(self.workers.max(1) as u64);
+        self.memory_bytes_max.unwrap_or_else(|| memory::machine_share().unwrap_or(u64::MAX).min(wanted))
+    }
 }
 
-/// The jobs of this process. Clones share them; the workers leave with the last clone.
+/// Why the service has no jobs.
+#[derive(Debug, thiserror::Error)]
+pub enum StartError {
+    #[error("the job database {}: {cause}", .path.display())]
+    Database { path: std::path::PathBuf, cause: StoreFailure },
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    #[error(transparent)]
+    Io(#[from] std::io::Error),
+}
+
+/// What became of a wish to cancel or delete.
+#[derive(Clone, Debug, thiserror::Error)]
+pub enum Denied {
+    #[error("there is no such job")]
+    NotFound,
+    #[error("the job is {}", .0.name())]
+    State(JobState),
+    #[error(transparent)]
+    Unavailable(#[from] StoreFailure),
+}
+
+/// The jobs of one data folder. Clones share them; the workers leave with the last clone.
 #[derive(Clone)]
 pub struct Jobs(Arc<Handle>);
 
 struct Handle(Arc<Core>);
 
-/// What doors, workers and the sweeper share.
-pub(super) struct Core {
-    pub settings: Settings,
-    pub store: Store,
-    pub rigger: Arc<dyn Rigger>,
-    ledger: Mutex<Ledger>,
-    /// Told when there is work, or none will come any more.
-    pub wake: Condvar,
-    /// Told when a worker has finished, or the ledger closes.
-    pub tick: Condvar,
-    checks: Arc<Semaphore>,
-}
-
-impl Core {
-    pub fn ledger(&self) -> MutexGuard<'_, Ledger> {
-        // No code that can panic runs under the lock, so a poisoned ledger is whole all the same.
-        self.ledger.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// Runs `write`, and again each time the oldest results have made room, until it fits or there are none left.
-    pub fn making_room<T>(&self, mut write: impl FnMut() -> Result<T, StoreError>) -> Result<T, StoreError> {
-        loop {
-            match write() {
-                Err(error) if error.is_full() && self.ledger().expire_oldest() => {}
-                other => return other,
-            }
-        }
-    }
-}
-
 impl Drop for Handle {
     fn drop(&mut self) {
-        let mut ledger = self.0.ledger();
-        ledger.drain();
-        ledger.stop_running(Stop::Draining, None);
-        ledger.closed = true;
-        drop(ledger);
-        self.0.wake.notify_all();
-        self.0.tick.notify_all();
+        self.0.close();
     }
 }
 
+/// The job database within the data folder.
+const DATABASE: &str = "jobs.db";
+/// How often a waiting caller looks, whatever it hears: another process may work on the job.
+const LOOK_AGAIN: Duration = Duration::from_secs(1);
+/// How long [`Jobs::close`] waits for workers.
+const CLOSE_TIME: Duration = Duration::from_secs(5);
+
 impl Jobs {
-    /// Starts the workers.
-    pub fn start(rigger: Arc<dyn Rigger>, store: Store, settings: Settings) -> std::io::Result<Self> {
-        let core = Arc::new(Core {
-            settings,
-            store,
-            rigger,
-            ledger: Mutex::default(),
-            wake: Condvar::new(),
-            tick: Condvar::new(),
-            checks: Arc::new(Semaphore::new(settings.workers.max(1))),
+    /// Opens the jobs of `files`' folder and starts the workers. Jobs that an earlier process left go on.
+    pub fn start(rigger: Arc<dyn Rigger>, files: Store, settings: Settings) -> Result<Self, StartError> {
+        let runtime = OwnRuntime::new()?;
+        let path = files.root().join(DATABASE);
+        let ended = || StoreFailure::new(&"opening it was given up");
+        let opened = runtime.finish({
+            let (path, files) = (path.clone(), files.clone());
+            async move {
+                let jobs = SqliteStore::open(&path, Arc::new(SteadyClock::default()), settings.lease).await?;
+                // The lock on the folder says that the process that held these leases is gone.
+                let swept = jobs.lose_all().await?;
+                if !swept.changed.is_empty() {
+                    tracing::warn!(
+                        jobs = swept.changed.len(),
+                        requeued = swept.requeued,
+                        "an earlier process left jobs"
+                    );
+                }
+                let named = jobs.locations().await?;
+                match files.sweep(&named).await {
+                    Ok(0) => {}
+                    Ok(orphans) => tracing::warn!(orphans, "removed files that no job names"),
+                    Err(error) => return Err(StoreFailure::new(&error)),
+                }
+                Ok(jobs)
+            }
         });
-        let jobs = Self(Arc::new(Handle(core.clone())));
+        let jobs = opened.unwrap_or_else(|| Err(ended())).map_err(|cause| StartError::Database { path, cause })?;
+        Self::start_with(runtime, rigger, files, Arc::new(jobs), settings)
+    }
+
+    /// Starts workers on jobs that are written down elsewhere.
+    pub fn start_on(
+        rigger: Arc<dyn Rigger>,
+        files: Store,
+        jobs: Arc<dyn JobStore>,
+        settings: Settings,
+    ) -> Result<Self, StartError> {
+        Self::start_with(OwnRuntime::new()?, rigger, files, jobs, settings)
+    }
+
+    fn start_with(
+        runtime: OwnRuntime,
+        rigger: Arc<dyn Rigger>,
+        files: Store,
+        jobs: Arc<dyn JobStore>,
+        settings: Settings,
+    ) -> Result<Self, StartError> {
+        let core = Arc::new(Core::new(runtime, rigger, files, jobs, settings)?);
+        let started = Self(Arc::new(Handle(core.clone())));
         worker::start(&core)?;
-        Ok(jobs)
+        keeper::start(&core);
+        Ok(started)
     }
 
     fn core(&self) -> &Arc<Core> {
@@ -144,7 +185,7 @@ impl Jobs {
     }
 
     pub fn ready(&self) -> Result<(), Refusal> {
-        if self.core().ledger().draining {
+        if self.core().is_draining() {
             return Err(Refusal::Draining);
         }
         match self.core().rigger.ready() {
@@ -154,23 +195,16 @@ impl Jobs {
         }
     }
 
-    /// Whether a job with `options` would be taken now. Asked before an upload is received, and again by
-    /// [`Jobs::submit`].
+    /// Whether a job with `options` would be taken now. Asked before an upload is received; [`Jobs::submit`] decides.
     pub async fn admit(&self, options: &RigOptions) -> Result<(), Refusal> {
         self.ready()?;
         self.method_exists(options)?;
-        self.room(&self.core().ledger())
-    }
-
-    fn room(&self, ledger: &Ledger) -> Result<(), Refusal> {
         let Settings { workers, queue_max, .. } = *self.settings();
-        let waiting = ledger.waiting();
-        // Free workers take from the queue, so that many more may be on their way through it.
-        let free = workers.saturating_sub(ledger.running());
-        if waiting < queue_max + free {
+        let counts = self.counts().await?;
+        if counts.queued < queue_max + workers.saturating_sub(counts.running) {
             Ok(())
         } else {
-            Err(Refusal::QueueFull { waiting, retry_after: ledger.turn(workers) })
+            Err(Refusal::QueueFull { waiting: counts.queued, retry_after: self.core().turn() })
         }
     }
 
@@ -195,45 +229,126 @@ impl Jobs {
 
     /// Begins to receive an upload.
     pub fn upload(&self) -> Result<Upload, StoreError> {
-        Ok(Upload::new(self.core().clone(), self.core().store.draft()?))
+        Ok(Upload::new(self.core().clone(), self.core().files.draft()))
     }
 
-    /// Queues a job.
-    pub async fn submit(&self, received: Received, options: RigOptions) -> Result<Job, Refusal> {
+    /// Queues a job, finds the one that the same request made before, or ends it at once with an earlier equal result.
+    pub async fn submit(&self, submission: Submission) -> Result<Submitted, Refusal> {
         self.ready()?;
-        self.method_exists(&options)?;
-        let (files, upload) = received.into_parts();
-        let request = JobRequest { options, files };
-        let mut ledger = self.core().ledger();
-        // Looked at again under the lock: the service may have begun to stop while the upload came in.
-        if ledger.draining {
-            return Err(Refusal::Draining);
+        self.method_exists(&submission.options)?;
+        let core = self.core().clone();
+        let wish = recipe::wish(&submission);
+        let recipe = recipe::recipe(&submission.options, &self.methods());
+        let skeleton = self.skeleton(submission.skeleton).await?;
+        let settings = core.settings;
+        let (files, received) = match submission.source {
+            Source::Upload(received) => {
+                let memory_bytes = memory::expected_bytes(&received.files());
+                let memory_max = settings.memory_max();
+                if memory_bytes > memory_max {
+                    return Err(Refusal::Check(memory::too_much(memory_bytes, memory_max)));
+                }
+                (NewFiles::Received { files: received.blobs(), memory_bytes }, Some(received.bundle))
+            }
+            Source::Asset(id) => (NewFiles::Asset(id), None),
+            Source::Job(id) => (NewFiles::Job(id), None),
+        };
+        let new = NewJob {
+            caller: submission.caller,
+            files,
+            skeleton: skeleton.as_ref().and_then(|bundle| bundle.files().first().cloned()),
+            options: submission.options,
+            priority: submission.priority,
+            labels: submission.labels,
+            timeout: submission.timeout.unwrap_or(settings.job_time_max).min(settings.job_time_max),
+            deadline: submission.deadline.map(Timestamp::from),
+            retention: submission.retention.unwrap_or(settings.keep_time).min(settings.keep_time),
+            client_id: submission.client_id,
+            idempotency_key: submission.idempotency_key,
+            wish,
+            recipe,
+            use_cache: submission.use_cache,
+            waiting_max: settings.queue_max,
+            workers: settings.workers,
+            unfinished_max: submission.jobs_max,
+            asset_retention: settings.keep_time,
+        };
+        // Detached: a caller who hangs up now must not leave it open whether the blobs belong to a job.
+        let admission = core
+            .detached({
+                let core = core.clone();
+                async move {
+                    let admission = core.jobs.submit(new).await?;
+                    if let Admission::Admitted { kept, .. } = &admission {
+                        keep([received, skeleton], kept);
+                    }
+                    Ok(admission)
+                }
+            })
+            .await?;
+        self.submitted(admission)
+    }
+
+    fn submitted(&self, admission: Admission) -> Result<Submitted, Refusal> {
+        let retry_after = self.core().turn();
+        match admission {
+            Admission::Admitted { job, .. } => {
+                self.core().wake.notify_one();
+                Ok(Submitted { job: *job, replayed: false })
+            }
+            Admission::Replayed(job) => Ok(Submitted { job: self.core().completed(*job), replayed: true }),
+            Admission::IdempotencyMismatch => Err(Refusal::IdempotencyMismatch),
+            Admission::ClientIdTaken => Err(Refusal::ClientIdTaken),
+            Admission::QueueFull { waiting } => Err(Refusal::QueueFull { waiting, retry_after }),
+            Admission::QuotaExceeded { unfinished } => Err(Refusal::QuotaExceeded { unfinished, retry_after }),
+            Admission::Missing(missing) => Err(Refusal::NotFound(missing)),
         }
-        self.room(&ledger)?;
-        let id = ledger.add(request, upload);
-        let job = ledger.snapshot(id);
-        drop(ledger);
-        self.core().wake.notify_one();
-        job.ok_or(Refusal::Draining)
+    }
+
+    /// A skeleton as a file of its own.
+    async fn skeleton(&self, bytes: Option<bytes::Bytes>) -> Result<Option<Bundle>, Refusal> {
+        let Some(bytes) = bytes else { return Ok(None) };
+        let core = self.core().clone();
+        let write = move || {
+            let mut draft = core.files.draft();
+            draft.begin("skeleton.rig.json")?;
+            core.making_room(|| draft.append(&bytes))?;
+            draft.finish()
+        };
+        let written = tokio::task::spawn_blocking(write).await.unwrap_or(Err(StoreError::Interrupted));
+        written.map(Some).map_err(Refusal::Store)
     }
 
     /// What would be rigged, now and without a job.
     pub async fn check(
         &self,
-        received: Received,
+        caller: &Caller,
+        source: Source,
         options: RigOptions,
     ) -> Result<serde_json::Map<String, serde_json::Value>, Refusal> {
         self.ready()?;
         self.method_exists(&options)?;
         let core = self.core().clone();
         let Ok(permit) = core.checks.clone().try_acquire_owned() else {
-            return Err(Refusal::QueueFull { waiting: core.ledger().waiting(), retry_after: Duration::from_secs(1) });
+            let waiting = self.counts().await?.queued;
+            return Err(Refusal::QueueFull { waiting, retry_after: Duration::from_secs(1) });
+        };
+        let loaded = match source {
+            Source::Upload(received) => Files::Received(received),
+            Source::Asset(id) => Files::Loaded(self.load_asset(caller, id).await?),
+            Source::Job(id) => {
+                let job = self.get(caller, id).await?.ok_or(Refusal::NotFound(Missing::Job))?;
+                Files::Loaded(self.load_files(&job.request.files, Missing::Job).await?)
+            }
         };
         let span = tracing::Span::current();
         let work = move || {
             let (_permit, _entered) = (permit, span.enter());
-            let (files, upload) = received.into_parts();
-            let request = RigRequest { files: load(&files, &upload).map_err(Refusal::Store)?, options };
+            let files = match loaded {
+                Files::Received(received) => read(&received).map_err(Refusal::Store)?,
+                Files::Loaded(files) => files,
+            };
+            let request = RigRequest { files, options, skeleton: None };
             worker::guarded(|| core.rigger.check(&request, &Watch::new(Cancellation::default(), |_| {})))
                 .map_err(Refusal::Check)
         };
@@ -243,54 +358,163 @@ impl Jobs {
         }
     }
 
-    pub async fn get(&self, id: JobId) -> Option<Job> {
-        self.core().ledger().snapshot(id)
+    /// The files of an asset, read.
+    pub async fn load_asset(&self, caller: &Caller, id: AssetId) -> Result<Vec<NamedFile>, Refusal> {
+        let asset = self.asset(caller, id).await?.ok_or(Refusal::NotFound(Missing::Asset))?;
+        self.load_files(&asset.files, Missing::Asset).await
+    }
+
+    /// Files by their digests, read; the main one first.
+    pub async fn load_files(
+        &self,
+        files: &[super::job::FileInfo],
+        missing: Missing,
+    ) -> Result<Vec<NamedFile>, Refusal> {
+        let mut places = Vec::with_capacity(files.len());
+        for file in files {
+            let place = self.core().jobs.blob(&file.sha256).await?.ok_or(Refusal::NotFound(missing))?;
+            places.push((file.name.clone(), place));
+        }
+        self.core().load(&places).await.map_err(Refusal::Store)
+    }
+
+    /// Keeps an upload as an asset of `caller`, or finds the one that it is.
+    pub async fn put_asset(&self, caller: &Caller, received: Received) -> Result<PutAsset, Refusal> {
+        if self.core().is_draining() {
+            return Err(Refusal::Draining);
+        }
+        let (core, caller) = (self.core().clone(), caller.clone());
+        let memory_bytes = memory::expected_bytes(&received.files());
+        let put = self.core().detached(async move {
+            let (files, retention) = (received.blobs(), core.settings.keep_time);
+            let (asset, created, kept) = core.jobs.put_asset(&caller, &files, memory_bytes, retention).await?;
+            keep([Some(received.bundle), None], &kept);
+            Ok(PutAsset { asset, created })
+        });
+        Ok(put.await?)
+    }
+
+    pub async fn asset(&self, caller: &Caller, id: AssetId) -> Result<Option<Asset>, StoreFailure> {
+        self.core().jobs.asset(caller, id).await
+    }
+
+    /// `false`: there was none. Jobs that were made of it keep the files that they need.
+    pub async fn delete_asset(&self, caller: &Caller, id: AssetId) -> Result<bool, StoreFailure> {
+        let deleted = self.core().jobs.delete_asset(caller, id).await?;
+        if deleted {
+            self.core().collect_garbage().await?;
+        }
+        Ok(deleted)
+    }
+
+    /// The content of a file of an asset or a job, or of an artifact, while it is kept.
+    pub async fn open(&self, sha256: &[u8; 32]) -> Result<Option<Content>, StoreFailure> {
+        let place = self.core().jobs.blob(sha256).await?;
+        Ok(place.map(|place| self.core().files.content(&place.location, place.bytes)))
+    }
+
+    pub async fn get(&self, caller: &Caller, id: JobId) -> Result<Option<Job>, StoreFailure> {
+        let job = self.core().jobs.job(caller, id).await?;
+        Ok(job.map(|job| self.core().completed(job)))
+    }
+
+    /// The job that the caller gave this id.
+    pub async fn get_by_client_id(&self, caller: &Caller, client_id: &str) -> Result<Option<Job>, StoreFailure> {
+        let job = self.core().jobs.job_by_client_id(caller, client_id).await?;
+        Ok(job.map(|job| self.core().completed(job)))
     }
 
     /// The job as soon as it is final, or as it is after `time`.
-    pub async fn wait(&self, id: JobId, time: Duration) -> Option<Job> {
+    pub async fn wait(&self, caller: &Caller, id: JobId, time: Duration) -> Result<Option<Job>, StoreFailure> {
         let until = Instant::now() + time;
-        let mut revision = self.core().ledger().watch(id)?;
+        let mut news = self.core().watchers.subscribe(id);
         loop {
-            let job = self.get(id).await?;
-            if job.state.is_final() {
-                return Some(job);
+            news.mark_unchanged();
+            let Some(job) = self.get(caller, id).await? else { return Ok(None) };
+            if job.state.is_final() || Instant::now() >= until {
+                return Ok(Some(job));
             }
-            // An error says that the job is being forgotten: `get` above will tell.
-            if timeout_at(until, revision.changed()).await.is_err() {
-                return self.get(id).await;
-            }
+            let look_again = until.min(Instant::now() + LOOK_AGAIN);
+            // However the waiting ends, the job is looked at.
+            let _ = timeout_at(look_again, news.changed()).await;
         }
     }
 
-    /// Newest first, older than `before`.
-    pub async fn list(&self, before: Option<JobId>, state: Option<JobState>, count: usize) -> Vec<Job> {
-        self.core().ledger().list(before, state, count)
+    /// The events of a job after the one numbered `after`; without it, a snapshot and what follows. `None`: there is
+    /// no such job.
+    pub async fn events(&self, caller: &Caller, id: JobId, after: Option<u64>) -> Result<Option<Events>, StoreFailure> {
+        Events::open(self.core().clone(), caller.clone(), id, after).await
     }
 
-    pub async fn cancel(&self, id: JobId) -> Result<Job, Denied> {
-        let mut ledger = self.core().ledger();
-        ledger.cancel(id)?;
-        ledger.snapshot(id).ok_or(Denied::NotFound)
+    /// A page of the caller's jobs, newest first.
+    pub async fn list(
+        &self,
+        caller: &Caller,
+        filter: &JobFilter,
+        page_token: Option<&str>,
+        page_size: usize,
+    ) -> Result<Page, NoPage> {
+        let before = page_token.map(|text| read_token(text, filter)).transpose()?;
+        let mut jobs = self.core().jobs.list(caller, filter, before, page_size.saturating_add(1)).await?;
+        let more = jobs.len() > page_size;
+        jobs.truncate(page_size);
+        let next_page_token = jobs.last().filter(|_| more).map(|job| token(job.id, filter));
+        let jobs = jobs.into_iter().map(|job| self.core().completed(job)).collect();
+        Ok(Page { jobs, next_page_token })
     }
 
-    pub async fn delete(&self, id: JobId) -> Result<(), Denied> {
-        self.core().ledger().delete(id)
+    /// A waiting job ends at once; a running one is asked to. Asking twice is asking once.
+    pub async fn cancel(&self, caller: &Caller, id: JobId) -> Result<Job, Denied> {
+        match self.core().jobs.cancel(caller, id).await? {
+            Change::Done => {}
+            Change::Requested => self.core().running.stop(id, Stop::Asked),
+            Change::NotFound => return Err(Denied::NotFound),
+            Change::State(state) => return Err(Denied::State(state)),
+        }
+        self.core().watchers.tell(id);
+        self.get(caller, id).await?.ok_or(Denied::NotFound)
     }
 
-    /// The files that a job made, while they are kept.
-    pub async fn artifacts(&self, id: JobId) -> Option<Arc<Bundle>> {
-        self.core().ledger().artifacts(id)
+    /// Forgets a job that does not run, with all files that only it needs.
+    pub async fn delete(&self, caller: &Caller, id: JobId) -> Result<(), Denied> {
+        match self.core().jobs.delete(caller, id).await? {
+            Change::Done | Change::Requested => {}
+            Change::NotFound => return Err(Denied::NotFound),
+            Change::State(state) => return Err(Denied::State(state)),
+        }
+        self.core().watchers.tell(id);
+        self.core().collect_garbage().await?;
+        Ok(())
     }
 
-    /// No new jobs from now on; waiting ones fail with `draining`.
+    /// For a request that makes no job: what was answered to its idempotency key before.
+    pub async fn recall(&self, caller: &Caller, key: &str, fingerprint: &[u8; 32]) -> Result<Remembered, StoreFailure> {
+        self.core().jobs.recall(caller, key, fingerprint).await
+    }
+
+    /// Keeps the answer to a key that [`Jobs::recall`] found fresh, for 24 hours; `None` frees the key.
+    pub async fn remember(&self, caller: &Caller, key: &str, answer: Option<&[u8]>) -> Result<(), StoreFailure> {
+        self.core().jobs.remember(caller, key, answer).await
+    }
+
+    /// How many jobs wait and run.
+    pub async fn counts(&self) -> Result<Counts, StoreFailure> {
+        self.core().jobs.counts().await
+    }
+
+    /// Bytes of uploads and results kept now, and at most.
+    pub fn bytes_kept(&self) -> (u64, u64) {
+        (self.core().files.bytes(), self.core().files.bytes_max())
+    }
+
+    /// No new jobs from now on, and none that waits is begun: they go on at the next start.
     pub fn drain(&self) {
-        self.core().ledger().drain();
+        self.core().drain();
     }
 
-    /// How many jobs run now.
+    /// How many jobs this process works on now.
     pub fn running(&self) -> usize {
-        self.core().ledger().running()
+        self.core().running.count()
     }
 
     /// Resolves when no job runs.
@@ -301,19 +525,48 @@ impl Jobs {
         }
     }
 
-    /// Asks running jobs to stop; they fail with `draining`.
+    /// Asks running jobs to stop; they go back to the queue.
     pub fn stop_running(&self) {
-        self.core().ledger().stop_running(Stop::Draining, None);
+        self.core().running.stop_all(Stop::Draining);
     }
 
-    /// Forgets every job and removes every file: nothing outlives the process yet.
-    pub fn clear(&self) {
-        self.core().ledger().clear();
+    /// Ends the workers and closes the database. Jobs that are not over go on at the next start.
+    pub async fn close(&self) {
+        self.core().close();
+        let left = async {
+            while self.core().workers_left.load(Ordering::SeqCst) > 0 {
+                tokio::time::sleep(Duration::from_millis(10)).await;
+            }
+        };
+        if timeout(CLOSE_TIME, left).await.is_err() {
+            tracing::warn!("some work did not stop; its jobs are done again at the next start");
+        }
+        self.core().jobs.close().await;
     }
 }
 
-/// The bytes of an upload, the main file first.
-pub(super) fn load(files: &[FileInfo], upload: &Bundle) -> Result<Vec<NamedFile>, StoreError> {
-    let stored = files.iter().filter_map(|file| upload.file(&file.name));
-    stored.map(|file| Ok(NamedFile { name: file.name.clone(), bytes: upload.read(file)?.into() })).collect()
+/// The files of a check.
+enum Files {
+    Received(Received),
+    Loaded(Vec<NamedFile>),
+}
+
+/// Reads an upload that belongs to nobody yet. Blocks.
+fn read(received: &Received) -> Result<Vec<NamedFile>, StoreError> {
+    let blobs = received.blobs();
+    let read = |blob: &NewBlob| Ok(NamedFile { name: blob.name.clone(), bytes: received.bundle.read(blob)?.into() });
+    blobs.iter().map(read).collect()
+}
+
+/// The database names these blobs now; the others go.
+fn keep(bundles: [Option<Bundle>; 2], kept: &[String]) {
+    for mut bundle in bundles.into_iter().flatten() {
+        kept.iter().for_each(|location| bundle.keep(location));
+    }
+}
+
+/// A job that is refused as soon as a worker sees it.
+pub(super) fn refused_by_memory(needed: u64, settings: &Settings) -> Option<JobError> {
+    let max = settings.memory_max();
+    (needed > max).then(|| memory::too_much(needed, max))
 }

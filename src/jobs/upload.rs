@@ -1,8 +1,9 @@
-//! An upload while it arrives. Dropped at any moment before the job is queued, it leaves nothing.
+//! An upload while it arrives. Dropped at any moment before it belongs to a job or an asset, it leaves nothing.
 
+use super::core::Core;
 use super::job::FileInfo;
-use super::queue::Core;
-use crate::storage::{Bundle, Draft, StoreError};
+use crate::storage::{Bundle, Draft, StoreError, hex};
+use sha2::{Digest, Sha256};
 use std::sync::Arc;
 
 /// Files being received. Writes block: call from a thread that may.
@@ -27,24 +28,57 @@ impl Upload {
         core.making_room(|| draft.append(bytes))
     }
 
-    /// All files are here. `main` names the one to rig.
+    /// All files are here, and on the disk. `main` names the one to rig.
     pub fn finish(self, main: &str) -> Result<Received, StoreError> {
         Ok(Received { bundle: self.draft.finish()?, main: main.to_owned() })
     }
 }
 
 /// A complete upload.
+#[derive(Debug)]
 pub struct Received {
-    bundle: Bundle,
+    pub(super) bundle: Bundle,
     main: String,
 }
 
 impl Received {
-    pub(super) fn into_parts(self) -> (Vec<FileInfo>, Bundle) {
-        let info = |name: &str, bytes, sha256| FileInfo { name: name.to_owned(), bytes, sha256 };
-        let mut files: Vec<FileInfo> =
-            self.bundle.files().iter().map(|file| info(&file.name, file.bytes, file.sha256)).collect();
-        files.sort_by_key(|file| file.name != self.main);
-        (files, self.bundle)
+    /// The main file first.
+    pub fn files(&self) -> Vec<FileInfo> {
+        let info = |file: &crate::storage::NewBlob| FileInfo {
+            name: file.name.clone(),
+            bytes: file.bytes,
+            sha256: file.sha256,
+        };
+        self.blobs().iter().map(info).collect()
     }
+
+    pub(super) fn blobs(&self) -> Vec<crate::storage::NewBlob> {
+        let mut blobs = self.bundle.files().to_vec();
+        blobs.sort_by_key(|file| file.name != self.main);
+        blobs
+    }
+}
+
+/// What makes two uploads the same: the bytes of every file, the names of those that the main file refers to, and the
+/// extension of the main file, which helps to tell its format.
+pub(super) fn identity<'a>(files: impl Iterator<Item = (&'a str, &'a [u8; 32])>) -> [u8; 32] {
+    let mut digest = Sha256::new();
+    for (index, (name, sha256)) in files.enumerate() {
+        let extension = || name.rsplit_once('.').map(|(_, extension)| extension.to_lowercase());
+        let name = if index == 0 { extension().unwrap_or_default() } else { name.to_owned() };
+        digest.update(format!("{}  {name}\n", hex(sha256)));
+    }
+    digest.finalize().into()
+}
+
+/// The digest that callers see: of the file when there is one, of the list of digests and names when there are several.
+pub fn asset_sha256(files: &[FileInfo]) -> [u8; 32] {
+    if let [file] = files {
+        return file.sha256;
+    }
+    let mut digest = Sha256::new();
+    for file in files {
+        digest.update(format!("{}  {}\n", hex(&file.sha256), file.name));
+    }
+    digest.finalize().into()
 }

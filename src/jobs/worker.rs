@@ -1,81 +1,196 @@
-//! The threads that do the work, and the one that keeps the time.
+//! The threads that do the work.
 
+use super::core::Core;
 use super::failure::{ErrorCode, JobError};
 use super::job::{ArtifactInfo, JobResult};
-use super::ledger::{Ending, Stop, Task};
 use super::perform::{Artifact, ModelInfo, Outcome, RigRequest, Watch};
-use super::queue::{Core, load};
+use super::queue::refused_by_memory;
+use super::running::{Stop, ended_without_result};
+use super::store::{Claim, EndedWithout, Ending, Finish, StoreFailure};
 use crate::storage::{Bundle, StoreError};
 use std::collections::BTreeSet;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::{Arc, PoisonError};
-use std::time::{Instant, SystemTime};
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
+use tokio::time::timeout;
 
-/// Starts the workers and the sweeper. They leave when the ledger is closed.
-pub(super) fn start(core: &Arc<Core>) -> std::io::Result<()> {
-    // What the main thread of a program has, so that the command line and the service go equally deep.
-    const STACK_BYTES: usize = 8 << 20;
+/// What the main thread of a program has, so that the command line and the service go equally deep.
+const STACK_BYTES: usize = 8 << 20;
+/// How often a worker looks for work whatever it hears: another process may have queued some.
+const LOOK_AGAIN: Duration = Duration::from_secs(1);
+/// How often an ending is written again when the store does not take it,
+const TELL_TRIES: u32 = 20;
+/// and how long after. Together longer than a lease: then the job is done again.
+const TELL_AGAIN: Duration = Duration::from_secs(1);
+
+/// Starts the workers. They leave when the service drains.
+pub fn start(core: &Arc<Core>) -> std::io::Result<()> {
+    let worker = format!("{}-{}", std::process::id(), uuid::Uuid::now_v7().simple());
     for number in 0..core.settings.workers.max(1) {
-        let core = core.clone();
-        std::thread::Builder::new()
-            .name(format!("worker-{number}"))
-            .stack_size(STACK_BYTES)
-            .spawn(move || work(&core))?;
+        let (core, name) = (core.clone(), format!("{worker}-{number}"));
+        core.workers_left.fetch_add(1, Ordering::SeqCst);
+        let leaving = Leaving(core.clone());
+        std::thread::Builder::new().name(format!("worker-{number}")).stack_size(STACK_BYTES).spawn(move || {
+            let _leaving = leaving;
+            while let Some(claim) = next(&core, &name) {
+                work(&core, claim);
+            }
+        })?;
     }
-    let core = core.clone();
-    std::thread::Builder::new().name("sweeper".to_owned()).spawn(move || sweep(&core))?;
     Ok(())
 }
 
-fn work(core: &Arc<Core>) {
-    while let Some(task) = next(core) {
-        let id = task.id;
-        let span = tracing::info_span!("job", job.id = %id);
-        let _entered = span.enter();
-        tracing::info!("the job runs");
-        let ending = run(core, task);
-        let duration_ms = ending.run_time.as_millis() as u64;
-        match &ending.outcome {
-            Ok(_) => tracing::info!(duration_ms, "the job succeeded"),
-            Err(error) => {
-                let stage = error.stage.or(ending.stage).map_or("none", |stage| stage.name());
-                tracing::info!(duration_ms, code = error.code.name(), stage, "the job ended without result: {error}");
-            }
-        }
-        core.ledger().finish(id, ending, core.settings.keep_time);
-        core.tick.notify_all();
+/// Counts a worker off, however it leaves.
+struct Leaving(Arc<Core>);
+
+impl Drop for Leaving {
+    fn drop(&mut self) {
+        self.0.workers_left.fetch_sub(1, Ordering::SeqCst);
     }
 }
 
 /// Waits for work; `None`: there will be none.
-fn next(core: &Core) -> Option<Task> {
-    let mut ledger = core.ledger();
-    loop {
-        if let Some(task) = ledger.take(core.settings.job_time_max) {
-            return Some(task);
+fn next(core: &Core, name: &str) -> Option<Claim> {
+    let handle = core.handle()?.clone();
+    handle.block_on(async {
+        loop {
+            let mut woken = std::pin::pin!(core.wake.notified());
+            woken.as_mut().enable();
+            if core.is_draining() {
+                return None;
+            }
+            match claim(core, name).await {
+                Ok(Some(claim)) => return Some(claim),
+                Ok(None) => {}
+                Err(error) => tracing::error!(%error, "no job could be taken"),
+            }
+            // Woken or not, the store is asked.
+            let _ = timeout(LOOK_AGAIN, woken).await;
         }
-        if ledger.closed {
-            return None;
-        }
-        ledger = core.wake.wait(ledger).unwrap_or_else(PoisonError::into_inner);
-    }
+    })
 }
 
-fn run(core: &Arc<Core>, task: Task) -> Ending {
+/// Takes the next job that fits beside those that run.
+async fn claim(core: &Core, name: &str) -> Result<Option<Claim>, StoreFailure> {
+    let _one_at_a_time = core.claiming.lock().await;
+    let taken = core.running.memory_bytes();
+    // Alone, a job runs or is refused by name; it never waits for memory that nobody holds.
+    let free = if core.running.count() == 0 { u64::MAX } else { core.settings.memory_max().saturating_sub(taken) };
+    let claim = core.jobs.claim(name, free).await?;
+    if let Some(claim) = &claim {
+        core.running.begin(claim);
+        core.watchers.tell(claim.lease.job);
+    }
+    Ok(claim)
+}
+
+fn work(core: &Arc<Core>, claim: Claim) {
+    let (lease, id) = (claim.lease, claim.lease.job);
+    let span = tracing::info_span!("job", job.id = %id, attempt = lease.attempt);
+    let _entered = span.enter();
+    tracing::info!("the job runs");
     let began = Instant::now();
-    let Task { id, request, upload, cancellation } = task;
+    let (ending, bundle) = run(core, claim);
+    core.note_run(began.elapsed());
+    let duration_ms = began.elapsed().as_millis() as u64;
+    match &ending {
+        Some(Ending { outcome: Ok(_), .. }) => tracing::info!(duration_ms, "the job succeeded"),
+        Some(Ending { outcome: Err(EndedWithout::Canceled), .. }) => {
+            tracing::info!(duration_ms, "the job was canceled")
+        }
+        Some(Ending { outcome: Err(EndedWithout::Failed(error)), .. }) => {
+            let stage = error.stage.map_or("none", |stage| stage.name());
+            tracing::info!(duration_ms, code = error.code.name(), stage, "the job ended without result: {error}");
+        }
+        None => tracing::info!(duration_ms, "the job goes back"),
+    }
+    match ending {
+        Some(ending) => tell(core, lease, ending, bundle),
+        None => go_back(core, lease),
+    }
+    core.running.end(lease);
+    core.watchers.tell(id);
+    core.wake.notify_waiters();
+}
+
+/// Does the work. `None`: it has no end that is ours to tell.
+fn run(core: &Arc<Core>, claim: Claim) -> (Option<Ending>, Option<Bundle>) {
+    let lease = claim.lease;
     let watched = Arc::downgrade(core);
+    let Some(cancellation) = core.running.cancellation(lease) else { return (None, None) };
     let watch = Watch::new(cancellation, move |stage| {
         if let Some(core) = watched.upgrade() {
-            core.ledger().enter(id, stage);
+            core.running.enter(lease, stage);
         }
     });
-    let outcome = load(&request.files, &upload)
-        .map_err(|error| storage_failed(&error))
-        .map(|files| RigRequest { files, options: request.options.clone() })
+    let done = prepare(core, &claim)
         .and_then(|request| guarded(|| core.rigger.perform(&request, &watch)))
         .and_then(|outcome| keep(core, outcome));
-    Ending { outcome, stage: watch.stage(), timings: watch.timings(), run_time: began.elapsed() }
+    let (stage, timings) = (watch.stage(), watch.timings());
+    let (outcome, bundle) = match done {
+        // A late result of work that was fenced is refused by the store.
+        Ok((result, bundle)) => (Ok((result, bundle.files().to_vec())), Some(bundle)),
+        Err(error) => {
+            let error = match error.stage.or(stage) {
+                Some(stage) => error.at(stage),
+                None => error,
+            };
+            match ended_without_result(core.running.stop_of(lease), error) {
+                Some(ended) => (Err(ended), None),
+                None => return (None, None),
+            }
+        }
+    };
+    (Some(Ending { outcome, stage, timings }), bundle)
+}
+
+/// The request with its files, unless it needs more memory than there is.
+fn prepare(core: &Core, claim: &Claim) -> Result<RigRequest, JobError> {
+    if let Some(refused) = refused_by_memory(claim.memory_bytes, &core.settings) {
+        return Err(refused);
+    }
+    let mut places: Vec<_> = claim.files.iter().map(|(file, place)| (file.name.clone(), place.clone())).collect();
+    places.extend(claim.skeleton.iter().map(|place| (String::new(), place.clone())));
+    let handle = core.handle().ok_or_else(|| storage_failed(&StoreError::Interrupted))?;
+    let mut files = handle.block_on(core.load(&places)).map_err(|error| storage_failed(&error))?;
+    let skeleton = claim.skeleton.as_ref().and_then(|_| files.pop()).map(|file| file.bytes);
+    Ok(RigRequest { files, options: claim.job.request.options.clone(), skeleton })
+}
+
+/// Writes the end of a job down, again and again while the store does not take it.
+fn tell(core: &Core, lease: super::store::Lease, ending: Ending, bundle: Option<Bundle>) {
+    for _ in 0..TELL_TRIES {
+        match core.block_on(core.jobs.finish(lease, ending.clone())) {
+            Ok(Finish::Done { kept }) => {
+                if let Some(mut bundle) = bundle {
+                    kept.iter().for_each(|location| bundle.keep(location));
+                }
+                return;
+            }
+            Ok(Finish::Fenced) => {
+                tracing::warn!("a late result was refused: the job is in other hands or over");
+                return;
+            }
+            Err(error) => {
+                tracing::error!(%error, "the end of a job could not be written down");
+                std::thread::sleep(TELL_AGAIN);
+            }
+        }
+        if core.is_closed() {
+            break;
+        }
+    }
+    tracing::error!("the result is given up; the job is done again when its lease ends");
+}
+
+fn go_back(core: &Core, lease: super::store::Lease) {
+    if core.running.stop_of(lease) == Some(Stop::Fenced) {
+        return;
+    }
+    if let Err(error) = core.block_on(core.jobs.give_back(lease)) {
+        tracing::error!(%error, "a job could not be put back; it is when its lease ends");
+    }
 }
 
 /// A panic in the work is a bug of ours: the job fails, the thread lives.
@@ -93,6 +208,10 @@ pub(super) fn guarded<T>(work: impl FnOnce() -> Result<T, JobError>) -> Result<T
 
 fn storage_failed(error: &StoreError) -> JobError {
     tracing::error!(%error, "the files of a job could not be read or written");
+    if error.is_full() {
+        return JobError::new(ErrorCode::Internal, "the service has no room for the files of the job")
+            .hint("send the request again when results have expired");
+    }
     JobError::new(ErrorCode::Internal, "the service could not read or write the files of the job")
 }
 
@@ -112,17 +231,18 @@ fn keep(core: &Core, outcome: Outcome) -> Result<(JobResult, Bundle), JobError> 
         .zip(bundle.files())
         .map(|(artifact, stored)| ArtifactInfo {
             name: artifact.name.clone(),
-            media_type: artifact.media_type,
+            media_type: artifact.media_type.to_owned(),
             bytes: stored.bytes,
             sha256: stored.sha256,
         })
         .collect();
     let models = models_of(core, &method_used);
+    let findings = findings.into_iter().map(Into::into).collect();
     Ok((JobResult { method_used, models, report, findings, artifacts }, bundle))
 }
 
 fn store(core: &Core, artifacts: &[Artifact]) -> Result<Bundle, StoreError> {
-    let mut draft = core.store.draft()?;
+    let mut draft = core.files.draft();
     for artifact in artifacts {
         draft.begin(&artifact.name)?;
         core.making_room(|| draft.append(&artifact.bytes))?;
@@ -139,15 +259,4 @@ fn models_of(core: &Core, method: &str) -> Vec<ModelInfo> {
 fn plain(name: &str) -> bool {
     let letters = name.chars().all(|c| c.is_ascii_alphanumeric() || ['.', '-', '_'].contains(&c));
     letters && !name.is_empty() && !name.starts_with('.')
-}
-
-/// Looks at deadlines and retention until the ledger is closed.
-fn sweep(core: &Core) {
-    let mut ledger = core.ledger();
-    while !ledger.closed {
-        ledger.stop_running(Stop::TimedOut, Some(Instant::now()));
-        ledger.sweep(SystemTime::now(), core.settings.records_max);
-        let waited = core.tick.wait_timeout(ledger, core.settings.sweep_every);
-        ledger = waited.unwrap_or_else(PoisonError::into_inner).0;
-    }
 }

@@ -56,6 +56,7 @@ impl Network {
         cancellation: &Cancellation,
     ) -> Result<ArrayD<f32>, NetError> {
         cancellation.check()?;
+        let _span = tracing::debug_span!("network", name = self.name).entered();
         let mut session = self.take()?;
         let result = self.run_session(&mut session, inputs, output, cancellation);
         self.put_back(session);

@@ -64,6 +64,6 @@ impl<'a> Prepared<'a> {
 }
 
 /// Enough to find the facing; the plane itself is found again with all samples.
-const FACING_SAMPLES: usize = 1_000;
+const FACING_SAMPLES: usize = 2_000;
 /// Half a degree: less than that no rig can tell.
 const FACING_TOLERANCE: f64 = 0.0087;

@@ -6,8 +6,8 @@
 //! | `weights` | `[M]`    | not negative                                |
 //! | `radius`  | scalar   | as the points; the side of a cell           |
 //!
-//! Points are sorted into cubic cells whose side is the radius, so all neighbours of a point lie in the 27 cells around
-//! its own: nine runs of the sorted order, since cells are sorted by x, y, z. Cost grows with the number of neighbouring
+//! Points are sorted into cubic cells whose side is half the radius, so all neighbours of a point lie in the 125 cells around
+//! its own: 25 runs of the sorted order, since cells are sorted by x, y, z. Cost grows with the number of neighbouring
 //! pairs, not with M². Only occupied cells are stored. Every sum runs over its neighbours in sorted order (cell, then
 //! index), so results are the same for any number of threads.
 
@@ -24,13 +24,13 @@ pub(super) struct KernelSum {
     pub moment: DVec3,
 }
 
-/// For every point the sum over all points (itself included) of weight times the quadratic kernel. `[M]`
-pub(super) fn kernel_sums(points: &[DVec3], weights: &[f64], radius: f64) -> Vec<KernelSum> {
+/// For each of the first `count` points the sum over all points (itself included) of weight times the quadratic kernel.
+pub(super) fn kernel_sums(points: &[DVec3], weights: &[f64], radius: f64, count: usize) -> Vec<KernelSum> {
     debug_assert_eq!(points.len(), weights.len());
     let grid = CellGrid::new(points, weights, radius);
-    let by_cell: Vec<Vec<KernelSum>> = grid.cells.par_iter().map(|cell| grid.sums_in(cell)).collect();
-    let mut sums = vec![KernelSum::default(); points.len()];
-    for (&point, sum) in grid.order.iter().zip(by_cell.into_iter().flatten()) {
+    let by_cell: Vec<Vec<(u32, KernelSum)>> = grid.cells.par_iter().map(|cell| grid.sums_in(cell, count)).collect();
+    let mut sums = vec![KernelSum::default(); count];
+    for (point, sum) in by_cell.into_iter().flatten() {
         sums[point as usize] = sum;
     }
     sums
@@ -58,11 +58,16 @@ struct CellGrid {
 
 /// Sums are kept in this many lanes, which are added up in a fixed order at the end.
 const LANES: usize = 4;
+/// Sides of a cell in one radius.
+const CELLS_PER_RADIUS: i64 = 2;
 
 impl CellGrid {
     fn new(points: &[DVec3], weights: &[f64], radius: f64) -> Self {
-        let mut keyed: Vec<(CellKey, u32)> =
-            points.iter().zip(0..).map(|(point, index)| (cell_of(*point, radius), index)).collect();
+        let mut keyed: Vec<(CellKey, u32)> = points
+            .iter()
+            .zip(0..)
+            .map(|(point, index)| (cell_of(*point, radius / CELLS_PER_RADIUS as f64), index))
+            .collect();
         keyed.sort_unstable();
         let mut cells: Vec<Cell> = Vec::new();
         for (place, (key, _)) in keyed.iter().enumerate() {
@@ -84,19 +89,25 @@ impl CellGrid {
         }
     }
 
-    /// Sums for the members of one cell, in sorted order.
-    fn sums_in(&self, cell: &Cell) -> Vec<KernelSum> {
+    /// Sums for those members of one cell that are among the first `count` points, with their index.
+    fn sums_in(&self, cell: &Cell, count: usize) -> Vec<(u32, KernelSum)> {
+        let asked = |place: &usize| (self.order[*place] as usize) < count;
+        if !cell.members.clone().any(|place| asked(&place)) {
+            return Vec::new();
+        }
         let runs = self.runs_around(cell.key);
-        cell.members.clone().map(|place| self.sum_at([self.x[place], self.y[place], self.z[place]], &runs)).collect()
+        let sum = |place: usize| (self.order[place], self.sum_at([self.x[place], self.y[place], self.z[place]], &runs));
+        cell.members.clone().filter(asked).map(sum).collect()
     }
 
-    /// The sorted places of all points in the 27 cells around `key`, as at most nine runs.
+    /// The sorted places of all points within [`CELLS_PER_RADIUS`] cells of `key`, as at most 25 runs.
     fn runs_around(&self, [x, y, z]: CellKey) -> Vec<Range<usize>> {
-        let mut runs = Vec::with_capacity(9);
-        for (dx, dy) in (-1..=1).flat_map(|dx| (-1..=1).map(move |dy| (dx, dy))) {
-            let first = self.cells.partition_point(|cell| cell.key < [x + dx, y + dy, z - 1]);
-            let after = first
-                + self.cells[first..].iter().take(3).take_while(|cell| cell.key <= [x + dx, y + dy, z + 1]).count();
+        const REACH: i64 = CELLS_PER_RADIUS;
+        let mut runs = Vec::with_capacity((2 * REACH as usize + 1).pow(2));
+        for (dx, dy) in (-REACH..=REACH).flat_map(|dx| (-REACH..=REACH).map(move |dy| (dx, dy))) {
+            let first = self.cells.partition_point(|cell| cell.key < [x + dx, y + dy, z - REACH]);
+            let last = [x + dx, y + dy, z + REACH];
+            let after = first + self.cells[first..].iter().take_while(|cell| cell.key <= last).count();
             if after > first {
                 runs.push(self.cells[first].members.start..self.cells[after - 1].members.end);
             }
@@ -153,7 +164,7 @@ mod tests {
     fn cells_give_the_sums_over_all_pairs() {
         let (points, weights) = scattered(500);
         for radius in [0.003, 0.05, 0.4, 5.0] {
-            for (point, sum) in points.iter().zip(kernel_sums(&points, &weights, radius)) {
+            for (point, sum) in points.iter().zip(kernel_sums(&points, &weights, radius, points.len())) {
                 let kernel = |q: &DVec3| (radius * radius - point.distance_squared(*q)).max(0.0);
                 let mass: f64 = points.iter().zip(&weights).map(|(q, w)| kernel(q) * w).sum();
                 let moment: DVec3 = points.iter().zip(&weights).map(|(q, w)| *q * kernel(q) * *w).sum();
@@ -168,7 +179,7 @@ mod tests {
         let (points, weights) = scattered(700);
         let with = |threads| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("pool");
-            pool.install(|| kernel_sums(&points, &weights, 0.1))
+            pool.install(|| kernel_sums(&points, &weights, 0.1, 500))
         };
         assert_eq!(with(1), with(3));
     }

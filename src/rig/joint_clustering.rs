@@ -8,7 +8,8 @@
 //! | `bandwidth` | scalar   | normalised, above zero; larger, fewer modes |
 //!
 //! Out: points `[M, 3]` gathered at the joints, in the order of the input; permuting the input permutes the output bit by
-//! bit. Pure: no clock, no randomness, no I/O.
+//! bit. With a symmetry plane the points are half of a set whose other half are their mirror images: images stay images
+//! through every step, so only the given half is moved. Pure: no clock, no randomness, no I/O.
 //! # Departures from the paper
 //! - All points move together and the kernel is recomputed from moved points (the published code does so too); the paper
 //!   moves each point among fixed ones.
@@ -18,8 +19,10 @@
 //! - [`MeanShift::ours`] takes ten long steps instead of up to 39 short ones, and no step depends on how many points there
 //!   are (the published stop rule is a norm over all points, so larger meshes iterate longer).
 
-use super::cell_grid::kernel_sums;
+use super::cell_grid::{KernelSum, kernel_sums};
+use super::symmetrize::with_images;
 use crate::cancellation::{Cancellation, Cancelled};
+use crate::geometry::symmetry_plane::SymmetryPlane;
 use glam::DVec3;
 use rayon::prelude::*;
 
@@ -50,10 +53,11 @@ impl MeanShift {
     }
 }
 
-/// Moves every point along its mean-shift vector until the rule says stop.
+/// Moves every point along its mean-shift vector until the rule says stop, among all points and, with a plane, their images.
 pub fn mean_shift(
     points: &[DVec3],
     attention: &[f64],
+    plane: Option<&SymmetryPlane>,
     rule: &MeanShift,
     cancellation: &Cancellation,
 ) -> Result<Vec<DVec3>, Cancelled> {
@@ -62,7 +66,7 @@ pub fn mean_shift(
     let attention: Vec<f64> = order.iter().map(|&index| attention[index as usize]).collect();
     for _ in 0..rule.iterations_max {
         cancellation.check()?;
-        let next = mean_shift_step(&moved, &attention, rule);
+        let next = mean_shift_step(&moved, &attention, plane, rule);
         let squared: f64 = next.iter().zip(&moved).map(|(after, before)| after.distance_squared(*before)).sum();
         moved = next;
         if squared.sqrt() <= rule.update_norm_min {
@@ -78,30 +82,45 @@ pub fn mean_shift(
 /// m_v = Σ_u a_u K(q_u − q_v) q_u / Σ_u a_u K(q_u − q_v) − q_v      K(x) = max(h² − ‖x‖², 0)      q_v ← q_v + step · m_v
 /// ```
 /// A point whose neighbourhood holds no attention stays where it is.
-fn mean_shift_step(points: &[DVec3], attention: &[f64], rule: &MeanShift) -> Vec<DVec3> {
-    let sums = kernel_sums(points, attention, rule.bandwidth);
+fn mean_shift_step(points: &[DVec3], attention: &[f64], plane: Option<&SymmetryPlane>, rule: &MeanShift) -> Vec<DVec3> {
+    let sums = sums_at_points(points, attention, plane, rule.bandwidth);
     let moved = points.par_iter().zip(sums).map(|(&point, sum)| {
         if sum.mass > 0.0 { point + rule.step * (sum.moment / (sum.mass + rule.mass_floor) - point) } else { point }
     });
     moved.collect()
 }
 
+/// Kernel sums at `points` over them and, with a plane, their images. `[M]`
+fn sums_at_points(points: &[DVec3], weights: &[f64], plane: Option<&SymmetryPlane>, bandwidth: f64) -> Vec<KernelSum> {
+    match plane {
+        Some(plane) => kernel_sums(&with_images(points, plane), &weights.repeat(2), bandwidth, points.len()),
+        None => kernel_sums(points, weights, bandwidth, points.len()),
+    }
+}
+
 /// Published density: `d_v = Σ_u max(h² − ‖q_u − q_v‖², 0)`, without attention. `[M]`
 pub fn summed_density(points: &[DVec3], bandwidth: f64) -> Vec<f64> {
-    density(points, &vec![1.0; points.len()], bandwidth)
+    density(points, &vec![1.0; points.len()], None, bandwidth)
 }
 
 /// Our density: `d_v = Σ_u a_u max(1 − ‖q_u − q_v‖² / h², 0)`, the attention gathered around a point. `[M]`
-pub fn attention_density(points: &[DVec3], attention: &[f64], bandwidth: f64) -> Vec<f64> {
+/// With a plane, of the points and their images.
+pub fn attention_density(
+    points: &[DVec3],
+    attention: &[f64],
+    plane: Option<&SymmetryPlane>,
+    bandwidth: f64,
+) -> Vec<f64> {
     let scale = 1.0 / (bandwidth * bandwidth);
-    density(points, attention, bandwidth).into_iter().map(|mass| mass * scale).collect()
+    density(points, attention, plane, bandwidth).into_iter().map(|mass| mass * scale).collect()
 }
 
-fn density(points: &[DVec3], weights: &[f64], bandwidth: f64) -> Vec<f64> {
+fn density(points: &[DVec3], weights: &[f64], plane: Option<&SymmetryPlane>, bandwidth: f64) -> Vec<f64> {
     let order = canonical_order(points, weights);
     let sorted: Vec<DVec3> = order.iter().map(|&index| points[index as usize]).collect();
     let weights: Vec<f64> = order.iter().map(|&index| weights[index as usize]).collect();
-    let masses: Vec<f64> = kernel_sums(&sorted, &weights, bandwidth).into_iter().map(|sum| sum.mass).collect();
+    let masses: Vec<f64> =
+        sums_at_points(&sorted, &weights, plane, bandwidth).into_iter().map(|sum| sum.mass).collect();
     in_original_order(&order, &masses)
 }
 
@@ -167,7 +186,7 @@ mod tests {
     const H: f64 = 0.1;
 
     fn shifted(points: &[DVec3], attention: &[f64], rule: &MeanShift) -> Vec<DVec3> {
-        mean_shift(points, attention, rule, &Cancellation::default()).expect("not cancelled")
+        mean_shift(points, attention, None, rule, &Cancellation::default()).expect("not cancelled")
     }
 
     /// Points in the unit cube and their attention.
@@ -200,7 +219,7 @@ mod tests {
     fn cancelled_work_stops() {
         let cancellation = Cancellation::default();
         cancellation.cancel();
-        assert_eq!(mean_shift(&[DVec3::ZERO], &[1.0], &MeanShift::ours(H), &cancellation), Err(Cancelled));
+        assert_eq!(mean_shift(&[DVec3::ZERO], &[1.0], None, &MeanShift::ours(H), &cancellation), Err(Cancelled));
     }
 
     #[test]
@@ -218,7 +237,7 @@ mod tests {
     #[test]
     fn the_attention_density_of_a_heap_is_its_attention() {
         let points = [DVec3::ONE, DVec3::ONE, DVec3::ZERO];
-        let density = attention_density(&points, &[0.5, 1.0, 0.25], H);
+        let density = attention_density(&points, &[0.5, 1.0, 0.25], None, H);
         assert!(density.iter().zip([1.5, 1.5, 0.25]).all(|(a, b)| (a - b).abs() < 1e-12));
         assert_eq!(dense_points(&density, &[0.5, 1.0, 0.25], ModeRule::ShareOfAttention(0.5)), [0, 1]);
     }
@@ -231,8 +250,20 @@ mod tests {
             let reversed: Vec<DVec3> = points.iter().rev().copied().collect();
             forward.reverse();
             prop_assert_eq!(forward, shifted(&reversed, &backward(&attention), &MeanShift::ours(H)));
-            let density = attention_density(&points, &attention, H);
-            prop_assert_eq!(backward(&density), attention_density(&reversed, &backward(&attention), H));
+            let density = attention_density(&points, &attention, None, H);
+            prop_assert_eq!(backward(&density), attention_density(&reversed, &backward(&attention), None, H));
+        }
+
+        #[test]
+        fn half_of_a_mirrored_set_moves_as_in_the_whole_set((points, attention) in cloud()) {
+            let plane = SymmetryPlane { normal: DVec3::new(0.6, 0.0, 0.8), offset: 0.2, score: 1.0 };
+            let rule = MeanShift { iterations_max: 4, ..MeanShift::ours(H) };
+            let whole = shifted(&with_images(&points, &plane), &attention.repeat(2), &rule);
+            let half = mean_shift(&points, &attention, Some(&plane), &rule, &Cancellation::default()).expect("not cancelled");
+            prop_assert!(farthest(&with_images(&half, &plane), &whole) < 1e-9);
+            let density = attention_density(&half, &attention, Some(&plane), H).repeat(2);
+            let of_whole = attention_density(&whole, &attention.repeat(2), None, H);
+            prop_assert!(density.iter().zip(of_whole).all(|(a, b)| (a - b).abs() < 1e-7));
         }
 
         #[test]

@@ -43,7 +43,7 @@ pub(super) fn mode_share(bandwidth: f64) -> f64 {
     MODE_SHARE * bandwidth / BANDWIDTH_DEFAULT
 }
 
-/// Displaced points that say something, with their mirror images. `[M]`
+/// Displaced points that say something. With a plane each of them stands for its mirror image too. `[M]`
 pub(super) struct PointCloud<'a> {
     points: Vec<DVec3>,
     attention: Vec<f64>,
@@ -63,12 +63,10 @@ impl<'a> PointCloud<'a> {
         };
         let total = |vertices: &[usize]| vertices.iter().map(|&v| attention[v]).sum::<f64>();
         let kept = if total(&inside) >= INSIDE_ATTENTION_MIN * total(&speaking) { inside } else { speaking };
-        let points: Vec<DVec3> = kept.iter().map(|&v| evidence.displaced[v]).collect();
-        let twice = |values: Vec<f64>| if plane.is_some() { values.repeat(2) } else { values };
         Self {
-            attention: twice(kept.iter().map(|&v| attention[v]).collect()),
-            displacement: twice(kept.iter().map(|&v| evidence.vertices[v].distance(evidence.displaced[v])).collect()),
-            points: plane.map_or_else(|| points.clone(), |plane| with_images(&points, plane)),
+            attention: kept.iter().map(|&v| attention[v]).collect(),
+            displacement: kept.iter().map(|&v| evidence.vertices[v].distance(evidence.displaced[v])).collect(),
+            points: kept.iter().map(|&v| evidence.displaced[v]).collect(),
             plane,
         }
     }
@@ -80,19 +78,30 @@ impl<'a> PointCloud<'a> {
         share_factor: f64,
         cancellation: &Cancellation,
     ) -> Result<Vec<Mode>, Cancelled> {
-        let gathered = mean_shift(&self.points, &self.attention, &MeanShift::ours(bandwidth), cancellation)?;
-        let density = attention_density(&gathered, &self.attention, bandwidth);
+        let rule = MeanShift::ours(bandwidth);
+        let gathered = mean_shift(&self.points, &self.attention, self.plane, &rule, cancellation)?;
+        let density = attention_density(&gathered, &self.attention, self.plane, bandwidth);
+        let (gathered, density, attention, displacement) = match self.plane {
+            Some(plane) => (
+                with_images(&gathered, plane),
+                density.repeat(2),
+                self.attention.repeat(2),
+                self.displacement.repeat(2),
+            ),
+            None => (gathered, density, self.attention.clone(), self.displacement.clone()),
+        };
         let rule = ModeRule::ShareOfAttention(mode_share(bandwidth) * share_factor);
-        let dense = dense_points(&density, &self.attention, rule);
+        let dense = dense_points(&density, &attention, rule);
         let positions: Vec<DVec3> = dense.iter().map(|&point| gathered[point]).collect();
         let (half, positions) = match self.plane {
             Some(plane) => fold(&positions, plane, middle_band(bandwidth)),
             None => ((0..positions.len()).collect(), positions),
         };
-        let total: f64 = self.attention.iter().sum();
+        let total: f64 = attention.iter().sum();
         let density: Vec<f64> = half.iter().map(|&point| density[dense[point]] / total).collect();
         let radius = |at: usize| {
-            let spread = self.mean_displacement(&gathered, gathered[dense[half[at]]], bandwidth);
+            let center = gathered[dense[half[at]]];
+            let spread = mean_around(center, bandwidth, &gathered, &displacement, &attention);
             bandwidth * (SPREAD_FACTOR * spread / BANDWIDTH_DEFAULT).max(1.0)
         };
         let modes = survivors_by_density(&positions, &density, radius).into_iter().map(|at| Mode {
@@ -102,15 +111,14 @@ impl<'a> PointCloud<'a> {
         });
         Ok(modes.collect())
     }
+}
 
-    /// How far the points gathered around `center` were moved by the network, weighted by attention.
-    fn mean_displacement(&self, gathered: &[DVec3], center: DVec3, bandwidth: f64) -> f64 {
-        let near = (0..gathered.len()).filter(|&point| gathered[point].distance(center) < bandwidth);
-        let (moved, attention) = near.fold((0.0, 0.0), |(moved, attention), point| {
-            (moved + self.attention[point] * self.displacement[point], attention + self.attention[point])
-        });
-        if attention > 0.0 { moved / attention } else { 0.0 }
-    }
+/// Mean of the values of the points within `radius` of `center`, weighted by attention.
+fn mean_around(center: DVec3, radius: f64, points: &[DVec3], values: &[f64], attention: &[f64]) -> f64 {
+    let near = (0..points.len()).filter(|&point| points[point].distance_squared(center) < radius * radius);
+    let (sum, weight) = near
+        .fold((0.0, 0.0), |(sum, weight), point| (sum + attention[point] * values[point], weight + attention[point]));
+    if weight > 0.0 { sum / weight } else { 0.0 }
 }
 
 /// Modes nearer to the plane than half a bandwidth are one joint with their image.

@@ -1,10 +1,17 @@
 //! The HTTP door: extract, call [`crate::jobs`], answer.
 
+mod connections;
 pub mod http;
+pub mod keys;
+mod metrics;
+mod quota;
 mod run;
 
+pub use connections::ConnectionLimits;
 pub use run::{ServeError, run, serve, stop_signal};
 
+use self::keys::Keys;
+use self::quota::Buckets;
 use crate::jobs::Jobs;
 use axum::Router;
 use std::sync::Arc;
@@ -17,6 +24,9 @@ pub struct App {
     pub jobs: Jobs,
     pub limits: Limits,
     uploads: Arc<Semaphore>,
+    /// `None`: everybody may ask.
+    keys: Option<Keys>,
+    buckets: Arc<Buckets>,
 }
 
 /// Limits of the door.
@@ -32,6 +42,7 @@ pub struct Limits {
     pub upload_time_max: Duration,
     /// Time that running jobs get when the service is asked to stop.
     pub grace: Duration,
+    pub connection: ConnectionLimits,
 }
 
 impl Default for Limits {
@@ -42,13 +53,21 @@ impl Default for Limits {
             upload_pause_max: Duration::from_secs(30),
             upload_time_max: Duration::from_secs(900),
             grace: Duration::from_secs(30),
+            connection: ConnectionLimits::default(),
         }
     }
 }
 
 impl App {
     pub fn new(jobs: Jobs, limits: Limits) -> Self {
-        Self { jobs, limits, uploads: Arc::new(Semaphore::new(limits.uploads_max)) }
+        let uploads = Arc::new(Semaphore::new(limits.uploads_max));
+        Self { jobs, limits, uploads, keys: None, buckets: Arc::default() }
+    }
+
+    /// Only callers who send one of `keys` may ask.
+    pub fn with_keys(mut self, keys: Keys) -> Self {
+        self.keys = Some(keys);
+        self
     }
 }
 

@@ -1,23 +1,34 @@
-//! Where uploads and artifacts are kept while they are needed: files under one folder.
+//! Where uploads and artifacts are kept: one folder, in use by one process.
 //!
 //! ```text
-//! DIR/lock              held while a service uses the folder
-//! DIR/incoming/ID/N     file N of a bundle that is being written
-//! DIR/bundles/ID/N      file N of a complete bundle
+//! DIR/lock                 held while a service uses the folder
+//! DIR/incoming/ID          a file that is being written
+//! DIR/blobs/SHA256-ID      a complete file; nobody changes it any more
 //! ```
 //!
-//! A *bundle* is a set of named files that belong together: an upload, or the artifacts of a job. It appears by one
-//! rename, whole or not at all, and disappears with its last [`Bundle`] value. Names are kept in memory and never
-//! become paths. Jobs do not outlive the process yet, so neither do bundles: [`Store::open`] removes what an earlier
-//! process left.
+//! A *blob* is a file whose content never changes. It appears by one rename after its bytes are on the disk, whole or
+//! not at all. Which blobs are in use is written in the job database, and nowhere else: a blob that the database does
+//! not name is swept ([`Store::sweep`]), so a crash between the two leaves nothing behind for long. The name carries
+//! the digest for people, and an id so that removing one copy never hits another that was made in the same moment.
+//!
+//! Blobs are read, listed and removed through [`object_store`], so that another store can take the place of the
+//! local disk; an upload always lands on the local disk first.
 
-use sha2::{Digest, Sha256};
+mod blobs;
+mod draft;
+
+pub use blobs::{Content, ContentStream};
+pub use draft::{Bundle, Draft, NewBlob};
+
+use object_store::local::LocalFileSystem;
 use std::fs::{self, File};
-use std::io::{self, Write};
+use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use uuid::Uuid;
+
+const INCOMING: &str = "incoming";
+const BLOBS: &str = "blobs";
 
 /// A folder in use by this process. Clones share it.
 #[derive(Clone, Debug)]
@@ -28,8 +39,9 @@ struct Folder {
     root: PathBuf,
     /// Held, not read: the operating system frees the lock with the file.
     _lock: File,
+    objects: LocalFileSystem,
     bytes_max: u64,
-    /// Bytes in drafts and bundles.
+    /// Bytes in drafts and blobs.
     bytes: AtomicU64,
 }
 
@@ -41,6 +53,10 @@ pub enum StoreError {
     Full { bytes_max: u64 },
     #[error("{doing} {}: {source}", .path.display())]
     Io { doing: &'static str, path: PathBuf, source: io::Error },
+    #[error("blob {location}: {source}")]
+    Blob { location: String, source: object_store::Error },
+    #[error("the writing task ended early")]
+    Interrupted,
 }
 
 impl StoreError {
@@ -48,9 +64,16 @@ impl StoreError {
     pub fn is_full(&self) -> bool {
         match self {
             StoreError::Full { .. } => true,
-            StoreError::Io { source, .. } => source.kind() == io::ErrorKind::StorageFull,
-            StoreError::InUse { .. } => false,
+            StoreError::Io { source, .. } => {
+                matches!(source.kind(), io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded)
+            }
+            StoreError::InUse { .. } | StoreError::Blob { .. } | StoreError::Interrupted => false,
         }
+    }
+
+    /// Whether the blob is not there (any more).
+    pub fn is_missing(&self) -> bool {
+        matches!(self, StoreError::Blob { source: object_store::Error::NotFound { .. }, .. })
     }
 }
 
@@ -62,30 +85,29 @@ impl Store {
     /// Opens `root`, making it when it is missing. At most `bytes_max` bytes are kept in it.
     pub fn open(root: &Path, bytes_max: u64) -> Result<Self, StoreError> {
         fs::create_dir_all(root).map_err(io_error("making", root))?;
+        let root = &root.canonicalize().map_err(io_error("finding", root))?;
         let lock_path = root.join("lock");
         let lock = File::create(&lock_path).map_err(io_error("making", &lock_path))?;
         if lock.try_lock().is_err() {
             return Err(StoreError::InUse { root: root.to_owned() });
         }
-        for name in ["incoming", "bundles"] {
-            let folder = root.join(name);
-            match fs::remove_dir_all(&folder) {
-                Err(error) if error.kind() != io::ErrorKind::NotFound => {
-                    return Err(io_error("clearing", &folder)(error));
-                }
-                _ => fs::create_dir(&folder).map_err(io_error("making", &folder))?,
-            }
+        clear(&root.join(INCOMING))?;
+        // What the folder layout of version 0.1 left: its jobs did not outlive the process.
+        let bundles = root.join("bundles");
+        if bundles.exists() {
+            fs::remove_dir_all(&bundles).map_err(io_error("clearing", &bundles))?;
         }
-        Ok(Self(Arc::new(Folder { root: root.to_owned(), _lock: lock, bytes_max, bytes: AtomicU64::new(0) })))
+        let blobs = root.join(BLOBS);
+        fs::create_dir_all(&blobs).map_err(io_error("making", &blobs))?;
+        let bytes = AtomicU64::new(bytes_in(&blobs)?);
+        let objects = LocalFileSystem::new_with_prefix(root)
+            .map_err(|source| StoreError::Blob { location: String::new(), source })?;
+        Ok(Self(Arc::new(Folder { root: root.to_owned(), _lock: lock, objects, bytes_max, bytes })))
     }
 
-    /// Begins a bundle.
-    pub fn draft(&self) -> Result<Draft, StoreError> {
-        let id = Uuid::now_v7().simple().to_string();
-        let folder = self.0.root.join("incoming").join(&id);
-        fs::create_dir(&folder).map_err(io_error("making", &folder))?;
-        let bundle = Bundle { store: self.clone(), folder, files: Vec::new() };
-        Ok(Draft { bundle, id, open: None })
+    /// The folder itself, for what else lives in it.
+    pub fn root(&self) -> &Path {
+        &self.0.root
     }
 
     /// Bytes kept now.
@@ -105,159 +127,109 @@ impl Store {
             Err(_) => Err(StoreError::Full { bytes_max: self.0.bytes_max }),
         }
     }
-}
 
-/// A bundle being written. Dropped before [`Draft::finish`], it leaves nothing.
-#[derive(Debug)]
-pub struct Draft {
-    bundle: Bundle,
-    id: String,
-    open: Option<(File, Sha256)>,
-}
-
-impl Draft {
-    /// Begins the next file.
-    pub fn begin(&mut self, name: &str) -> Result<(), StoreError> {
-        self.seal();
-        let index = self.bundle.files.len();
-        let path = self.bundle.folder.join(index.to_string());
-        let file = File::create_new(&path).map_err(io_error("making", &path))?;
-        self.open = Some((file, Sha256::new()));
-        self.bundle.files.push(StoredFile { name: name.to_owned(), bytes: 0, sha256: [0; 32], index });
-        Ok(())
-    }
-
-    /// Adds to the file begun last; nothing when none was begun.
-    pub fn append(&mut self, bytes: &[u8]) -> Result<(), StoreError> {
-        let (Some((file, digest)), Some(stored)) = (&mut self.open, self.bundle.files.last_mut()) else {
-            return Ok(());
-        };
-        self.bundle.store.claim(bytes.len() as u64)?;
-        // Counted from here on, so that dropping the draft gives the room back whatever happens.
-        stored.bytes += bytes.len() as u64;
-        file.write_all(bytes).map_err(io_error("writing below", &self.bundle.folder))?;
-        digest.update(bytes);
-        Ok(())
-    }
-
-    /// Makes the bundle appear, whole.
-    pub fn finish(mut self) -> Result<Bundle, StoreError> {
-        self.seal();
-        let folder = self.bundle.store.0.root.join("bundles").join(&self.id);
-        fs::rename(&self.bundle.folder, &folder).map_err(io_error("renaming", &self.bundle.folder))?;
-        self.bundle.folder = folder;
-        Ok(self.bundle)
-    }
-
-    /// Closes the file begun last. Nothing is forced to the disk, since nothing has to outlive the process yet.
-    fn seal(&mut self) {
-        if let (Some((_, digest)), Some(stored)) = (self.open.take(), self.bundle.files.last_mut()) {
-            stored.sha256 = digest.finalize().into();
-        }
+    fn give_back(&self, bytes: u64) {
+        // Saturating: a file removed behind our back must not make the folder look endlessly full.
+        let less = |kept: u64| Some(kept.saturating_sub(bytes));
+        let _ = self.0.bytes.fetch_update(Ordering::Relaxed, Ordering::Relaxed, less);
     }
 }
 
-/// Files that belong together. Dropping the value removes them.
-#[derive(Debug)]
-pub struct Bundle {
-    store: Store,
-    folder: PathBuf,
-    files: Vec<StoredFile>,
-}
-
-/// A file of a bundle.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct StoredFile {
-    pub name: String,
-    pub bytes: u64,
-    pub sha256: [u8; 32],
-    /// File name in the bundle's folder.
-    index: usize,
-}
-
-impl Bundle {
-    /// In the order in which they were written.
-    pub fn files(&self) -> &[StoredFile] {
-        &self.files
-    }
-
-    pub fn file(&self, name: &str) -> Option<&StoredFile> {
-        self.files.iter().find(|file| file.name == name)
-    }
-
-    /// Opens a file of this bundle for reading. It stays readable when the bundle goes.
-    pub fn open(&self, file: &StoredFile) -> Result<File, StoreError> {
-        let path = self.path(file);
-        File::open(&path).map_err(io_error("opening", &path))
-    }
-
-    pub fn read(&self, file: &StoredFile) -> Result<Vec<u8>, StoreError> {
-        let path = self.path(file);
-        fs::read(&path).map_err(io_error("reading", &path))
-    }
-
-    fn path(&self, file: &StoredFile) -> PathBuf {
-        self.folder.join(file.index.to_string())
+/// An empty folder at `path`, whatever was there.
+fn clear(path: &Path) -> Result<(), StoreError> {
+    match fs::remove_dir_all(path) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(io_error("clearing", path)(error)),
+        _ => fs::create_dir(path).map_err(io_error("making", path)),
     }
 }
 
-impl Drop for Bundle {
-    fn drop(&mut self) {
-        if let Err(error) = fs::remove_dir_all(&self.folder) {
-            tracing::warn!(folder = %self.folder.display(), %error, "a bundle could not be removed");
-        }
-        let bytes = self.files.iter().map(|file| file.bytes).sum();
-        self.store.0.bytes.fetch_sub(bytes, Ordering::Relaxed);
+fn bytes_in(folder: &Path) -> Result<u64, StoreError> {
+    let mut bytes = 0;
+    for entry in fs::read_dir(folder).map_err(io_error("reading", folder))? {
+        let length = entry.and_then(|entry| entry.metadata()).map_err(io_error("reading below", folder))?.len();
+        bytes += length;
     }
+    Ok(bytes)
+}
+
+/// Lower-case hexadecimal.
+pub fn hex(digest: &[u8]) -> String {
+    digest.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use sha2::{Digest, Sha256};
+    use std::collections::BTreeSet;
 
     fn entries(root: &Path) -> usize {
-        ["incoming", "bundles"].iter().map(|name| fs::read_dir(root.join(name)).expect("folder").count()).sum()
+        [INCOMING, BLOBS].iter().map(|name| fs::read_dir(root.join(name)).expect("folder").count()).sum()
     }
 
-    #[test]
-    fn a_bundle_is_there_whole_until_it_is_dropped() {
+    fn bundle(store: &Store, content: &[u8]) -> Bundle {
+        let mut draft = store.draft();
+        draft.begin("a").expect("begins");
+        draft.append(content).expect("writes");
+        draft.finish().expect("finishes")
+    }
+
+    #[tokio::test]
+    async fn a_kept_blob_is_there_whole_until_it_is_removed() {
         let root = tempfile::tempdir().expect("folder");
         let store = Store::open(root.path(), 100).expect("opens");
-        let mut draft = store.draft().expect("draft");
+        let mut draft = store.draft();
         draft.begin("../a b.obj").expect("begins");
         draft.append(b"v 0 ").expect("writes");
         draft.append(b"0 0").expect("writes");
         draft.begin("empty").expect("begins");
-        let bundle = draft.finish().expect("finishes");
-        let file = bundle.file("../a b.obj").expect("is there");
-        assert_eq!(bundle.read(file).expect("reads"), b"v 0 0 0");
-        assert_eq!(file.sha256[..], Sha256::digest(b"v 0 0 0")[..]);
-        assert_eq!((store.bytes(), entries(root.path())), (7, 1));
+        let mut bundle = draft.finish().expect("finishes");
+        let blob = bundle.files().first().expect("is there").clone();
+        assert_eq!((blob.name.as_str(), blob.bytes), ("../a b.obj", 7));
+        assert_eq!(blob.sha256[..], Sha256::digest(b"v 0 0 0")[..]);
+        bundle.keep(&blob.location);
         drop(bundle);
+        assert_eq!((store.bytes(), entries(root.path())), (7, 1), "what nobody keeps goes");
+        let content = store.content(&blob.location, blob.bytes);
+        assert_eq!(content.read().await.expect("reads"), "v 0 0 0");
+        store.remove(&blob.location, blob.bytes).await.expect("removes");
         assert_eq!((store.bytes(), entries(root.path())), (0, 0));
+        assert!(content.read().await.expect_err("gone").is_missing());
     }
 
     #[test]
     fn an_abandoned_or_overfull_draft_leaves_nothing() {
         let root = tempfile::tempdir().expect("folder");
         let store = Store::open(root.path(), 10).expect("opens");
-        let mut draft = store.draft().expect("draft");
+        let mut draft = store.draft();
         draft.begin("a").expect("begins");
         draft.append(&[0; 8]).expect("writes");
         assert!(draft.append(&[0; 3]).expect_err("refused").is_full());
         drop(draft);
         assert_eq!((store.bytes(), entries(root.path())), (0, 0));
+        drop(bundle(&store, b"finished, but never kept"[..9].as_ref()));
+        assert_eq!((store.bytes(), entries(root.path())), (0, 0));
     }
 
-    #[test]
-    fn a_folder_serves_one_process_and_forgets_the_last_one() {
+    #[tokio::test]
+    async fn a_folder_serves_one_process_and_keeps_its_blobs_for_the_next() {
         let root = tempfile::tempdir().expect("folder");
-        let store = Store::open(root.path(), 10).expect("opens");
-        let refused = Store::open(root.path(), 10).expect_err("in use");
+        let store = Store::open(root.path(), 100).expect("opens");
+        let refused = Store::open(root.path(), 100).expect_err("in use");
         assert!(matches!(refused, StoreError::InUse { .. }), "{refused}");
+        let mut known = bundle(&store, b"known");
+        let location = known.files().first().expect("a file").location.clone();
+        known.keep(&location);
+        let mut crashed = bundle(&store, b"written before its row");
+        let orphan = crashed.files().first().expect("a file").location.clone();
+        crashed.keep(&orphan);
+        drop((known, crashed));
         fs::write(root.path().join("incoming/left"), b"from a crash").expect("writes");
         drop(store);
-        Store::open(root.path(), 10).expect("opens again");
-        assert_eq!(entries(root.path()), 0);
+        let store = Store::open(root.path(), 100).expect("opens again");
+        assert_eq!((store.bytes(), entries(root.path())), (27, 2));
+        let swept = store.sweep(&BTreeSet::from([location.clone()])).await.expect("sweeps");
+        assert_eq!((swept, store.bytes(), entries(root.path())), (1, 5, 1));
+        assert_eq!(store.content(&location, 5).read().await.expect("reads"), "known");
     }
 }

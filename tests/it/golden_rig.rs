@@ -42,7 +42,7 @@ fn parents(case: &Case, name: &str) -> Vec<Option<usize>> {
 fn shifted(case: &Case, updates: usize) -> Vec<DVec3> {
     let rule = MeanShift { iterations_max: updates, ..MeanShift::published(case.scalar("cluster_bandwidth")) };
     let (points, attention) = (case.points("cluster_q_in"), case.f64s("cluster_attention_in"));
-    mean_shift(&points, &attention, &rule, &Cancellation::default()).expect("not cancelled")
+    mean_shift(&points, &attention, None, &rule, &Cancellation::default()).expect("not cancelled")
 }
 
 #[test]

@@ -2,6 +2,8 @@
 
 #[path = "http/artifacts.rs"]
 mod artifacts;
+#[path = "http/callers.rs"]
+mod callers;
 #[path = "http/jobs.rs"]
 mod jobs;
 #[path = "http/refusals.rs"]

@@ -224,3 +224,84 @@ fn the_runtime_reports_nothing_and_leaves_nothing_in_the_home_folder() {
         std::fs::read_dir(home.path()).expect("home").map(|entry| entry.expect("entry").path()).collect();
     assert!(left.is_empty(), "{left:?}");
 }
+
+/// Lines of standard output that name `setting`.
+fn setting<'a>(output: &'a str, name: &str) -> &'a str {
+    let line = output.lines().find(|line| line.trim_start_matches("# ").starts_with(name));
+    line.unwrap_or_else(|| panic!("{name} is missing in:\n{output}"))
+}
+
+#[test]
+fn config_shows_what_is_in_force_and_whence() {
+    let folder = tempfile::tempdir().expect("folder");
+    std::fs::write(folder.path().join("r.toml"), "workers = 2\nqueue = 7\nuploads = 8\n").expect("writes");
+    let output = Command::new(env!("CARGO_BIN_EXE_rigsmith"))
+        .args(["config", "--config", "r.toml", "--queue", "9"])
+        .current_dir(folder.path())
+        .env("RIGSMITH_UPLOADS", "10")
+        .env("RIGSMITH_WORKER", "3")
+        .env("RIGSMITH_OTLP_HEADERS", "authorization=Bearer s3cret")
+        .output()
+        .expect("the program starts");
+    succeeded(&output);
+    let text = String::from_utf8_lossy(&output.stdout);
+    for (name, value, origin) in [
+        ("workers", "2", "file r.toml"),
+        ("queue", "9", "flag"),
+        ("uploads", "10", "environment RIGSMITH_UPLOADS"),
+        ("upload_mib", "100", "default"),
+        ("otlp_headers", "\"***\"", "environment RIGSMITH_OTLP_HEADERS"),
+        ("keys", "", "unset"),
+    ] {
+        let line = setting(&text, name);
+        assert!(line.ends_with(&format!("# {origin}")), "{line}");
+        assert!(value.is_empty() || line.starts_with(&format!("{name} = {value}")), "{line}");
+    }
+    assert!(!text.contains("s3cret"), "{text}");
+    assert!(stderr(&output).contains("RIGSMITH_WORKER is no setting; did you mean RIGSMITH_WORKERS?"));
+    std::fs::write(folder.path().join("again.toml"), &*text).expect("writes");
+    succeeded(&rigsmith(folder.path(), &["config", "--config", "again.toml"]));
+}
+
+#[test]
+fn a_configuration_that_cannot_be_meant_is_refused_with_the_nearest_name() {
+    let folder = tempfile::tempdir().expect("folder");
+    for (text, said) in [
+        ("worker = 2", "did you mean \"workers\"?"),
+        ("workers = 0", "at least 1"),
+        ("listen = \"nowhere\"", "listen"),
+        ("[server]\nworkers = 2", "no setting \"server\""),
+        ("workers", "is not TOML"),
+    ] {
+        std::fs::write(folder.path().join("r.toml"), text).expect("writes");
+        for command in ["config", "serve"] {
+            let output = rigsmith(folder.path(), &[command, "--config", "r.toml"]);
+            assert_eq!(output.status.code(), Some(2), "{text}: {}", stderr(&output));
+            assert!(
+                stderr(&output).contains(said) && stderr(&output).contains("r.toml"),
+                "{text}: {}",
+                stderr(&output)
+            );
+        }
+    }
+    assert_eq!(rigsmith(folder.path(), &["config", "--config", "missing.toml"]).status.code(), Some(2));
+}
+
+#[test]
+fn serving_others_without_keys_is_refused_unless_it_is_said() {
+    let folder = tempfile::tempdir().expect("folder");
+    let refused = rigsmith(folder.path(), &["serve", "--listen", "0.0.0.0:0"]);
+    assert_eq!(refused.status.code(), Some(2), "{}", stderr(&refused));
+    assert!(stderr(&refused).contains("--allow-anonymous") && stderr(&refused).contains("keys new"));
+    let made = rigsmith(folder.path(), &["keys", "new", "studio", "--jobs", "9"]);
+    succeeded(&made);
+    let secret = String::from_utf8_lossy(&made.stdout).trim().to_owned();
+    assert!(secret.starts_with("rsk_") && secret.len() > 40, "{secret}");
+    let list = rigsmith(folder.path(), &["keys", "list"]);
+    let list = String::from_utf8_lossy(&list.stdout).into_owned();
+    assert!(list.contains("studio") && list.contains("jobs 9") && !list.contains(&secret), "{list}");
+    let id = list.split_whitespace().next().expect("an id");
+    succeeded(&rigsmith(folder.path(), &["keys", "remove", id]));
+    let empty = rigsmith(folder.path(), &["serve", "--listen", "0.0.0.0:0", "--keys", "keys.toml"]);
+    assert_eq!(empty.status.code(), Some(2), "{}", stderr(&empty));
+}

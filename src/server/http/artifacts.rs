@@ -2,12 +2,12 @@
 
 use super::App;
 use super::error::{ApiError, Code, ProblemView};
-use super::file_body::file_body;
 use super::negotiate::query;
 use super::rigs::{find, server_timing};
 use super::segments::Segments;
 use super::views::{ArtifactListView, ArtifactView, hex};
 use crate::jobs::{ArtifactInfo, Job, JobState};
+use crate::storage::Content;
 use axum::Json;
 use axum::body::Body;
 use axum::extract::State;
@@ -110,7 +110,6 @@ fn refuse_expired(job: &Job) -> Result<(), ApiError> {
 /// The bytes of `artifact`, or the part of them that `headers` ask for.
 pub async fn serve(app: &App, job: &Job, artifact: &ArtifactInfo, headers: &HeaderMap) -> Result<Response, ApiError> {
     let expired = || ApiError::new(Code::Expired, "the files of this job are no longer kept");
-    let bundle = app.jobs.artifacts(job.id).await.ok_or_else(expired)?;
     let etag = format!("\"{}\"", hex(&artifact.sha256));
     let part = match part(headers, &etag, artifact.bytes) {
         Ok(part) => part,
@@ -123,10 +122,8 @@ pub async fn serve(app: &App, job: &Job, artifact: &ArtifactInfo, headers: &Head
     let mut response = if part == Part::Nothing {
         StatusCode::NOT_MODIFIED.into_response()
     } else {
-        let name = artifact.name.clone();
-        let opened = tokio::task::spawn_blocking(move || bundle.file(&name).map(|file| bundle.open(file))).await;
-        let file = opened.map_err(|error| ApiError::internal(&error))?.ok_or_else(expired)?;
-        bytes_response(file.map_err(|error| ApiError::internal(&error))?, &part, artifact)
+        let content = app.jobs.open(&artifact.sha256).await?.ok_or_else(expired)?;
+        bytes_response(&content, &part, artifact).await?.ok_or_else(expired)?
     };
     let digest = format!("sha-256=:{}:", BASE64_STANDARD.encode(artifact.sha256));
     let disposition = format!("attachment; filename=\"{}\"", artifact.name);
@@ -146,20 +143,25 @@ pub async fn serve(app: &App, job: &Job, artifact: &ArtifactInfo, headers: &Head
     Ok(response)
 }
 
-fn bytes_response(file: std::fs::File, part: &Part, artifact: &ArtifactInfo) -> Response {
+/// `None`: the file went just now.
+async fn bytes_response(content: &Content, part: &Part, artifact: &ArtifactInfo) -> Result<Option<Response>, ApiError> {
     let (status, first, bytes) = match *part {
         Part::Range { first, last } => (StatusCode::PARTIAL_CONTENT, first, last - first + 1),
         Part::Whole | Part::Nothing => (StatusCode::OK, 0, artifact.bytes),
     };
-    let body: Body = file_body(file, first, bytes);
-    let mut response = (status, [(header::CONTENT_TYPE, artifact.media_type)], body).into_response();
+    let stream = match content.stream(first, bytes).await {
+        Err(error) if error.is_missing() => return Ok(None),
+        stream => stream.map_err(|error| ApiError::internal(&error))?,
+    };
+    let body = Body::from_stream(stream);
+    let mut response = (status, [(header::CONTENT_TYPE, artifact.media_type.clone())], body).into_response();
     response.headers_mut().insert(header::CONTENT_LENGTH, bytes.into());
     if let Part::Range { first, last } = part
         && let Ok(range) = HeaderValue::from_str(&format!("bytes {first}-{last}/{}", artifact.bytes))
     {
         response.headers_mut().insert(header::CONTENT_RANGE, range);
     }
-    response
+    Ok(Some(response))
 }
 
 /// What is sent of a file.

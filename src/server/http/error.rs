@@ -3,8 +3,7 @@
 //! An [`ApiError`] travels in the extensions of an empty response; [`super::outermost`] writes the body, since it
 //! knows the request.
 
-use crate::formats::ExceededLimit;
-use crate::jobs::{Denied, ErrorCode, FieldError, FieldProblem, JobError, Refusal};
+use crate::jobs::{Denied, ErrorCode, FieldError, FieldProblem, JobError, PassedLimit, Refusal, StoreFailure};
 use crate::storage::StoreError;
 use axum::http::{HeaderName, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
@@ -22,6 +21,8 @@ pub enum Code {
     InvalidParameter,
     InvalidMultipart,
     UploadIncomplete,
+    Unauthenticated,
+    RateLimited,
     NotFound,
     Expired,
     MethodNotAllowed,
@@ -31,6 +32,9 @@ pub enum Code {
     NotCancelable,
     RangeNotSatisfiable,
     QueueFull,
+    QuotaExceeded,
+    IdempotencyMismatch,
+    IdempotencyInProgress,
     Starting,
 }
 
@@ -45,12 +49,14 @@ pub struct Facts {
 impl Code {
     /// All codes, for the pages that explain them.
     pub fn all() -> impl Iterator<Item = Code> {
-        const OF_REQUESTS: [Code; 15] = [
+        const OF_REQUESTS: [Code; 20] = [
             Code::InvalidJson,
             Code::UnknownField,
             Code::InvalidParameter,
             Code::InvalidMultipart,
             Code::UploadIncomplete,
+            Code::Unauthenticated,
+            Code::RateLimited,
             Code::NotFound,
             Code::Expired,
             Code::MethodNotAllowed,
@@ -60,6 +66,9 @@ impl Code {
             Code::NotCancelable,
             Code::RangeNotSatisfiable,
             Code::QueueFull,
+            Code::QuotaExceeded,
+            Code::IdempotencyMismatch,
+            Code::IdempotencyInProgress,
             Code::Starting,
         ];
         OF_REQUESTS.into_iter().chain(ErrorCode::ALL.into_iter().map(Code::Work))
@@ -76,6 +85,8 @@ impl Code {
             Code::InvalidParameter => ("invalid_parameter", Status::BAD_REQUEST, "Invalid parameter", "A value is of the wrong kind, out of range, or contradicts another one; errors names each."),
             Code::InvalidMultipart => ("invalid_multipart", Status::BAD_REQUEST, "The form cannot be read", "The body is not the multipart/form-data that its Content-Type declares."),
             Code::UploadIncomplete => ("upload_incomplete", Status::BAD_REQUEST, "The upload ended early", "The connection closed before the declared body was complete. Nothing was kept."),
+            Code::Unauthenticated => ("unauthenticated", Status::UNAUTHORIZED, "Who are you?", "This service asks for a key: Authorization: Bearer and the key. The one sent, if any, is not known."),
+            Code::RateLimited => ("rate_limited", Status::TOO_MANY_REQUESTS, "Too many requests", "The key asks more often than it may. RateLimit says what is left; come back after Retry-After seconds."),
             Code::NotFound => ("not_found", Status::NOT_FOUND, "Not found", "There is no such path, job or artifact, or it is forgotten."),
             Code::Expired => ("expired", Status::GONE, "Results expired", "The job succeeded, but its files are no longer kept."),
             Code::MethodNotAllowed => ("method_not_allowed", Status::METHOD_NOT_ALLOWED, "Method not allowed", "The path exists, but not for this HTTP method; Allow names those that do."),
@@ -85,6 +96,9 @@ impl Code {
             Code::NotCancelable => ("not_cancelable", Status::CONFLICT, "The job is over", "Only jobs that wait or run can be canceled."),
             Code::RangeNotSatisfiable => ("range_not_satisfiable", Status::RANGE_NOT_SATISFIABLE, "Range not satisfiable", "The requested range lies outside the file; Content-Range gives its size."),
             Code::QueueFull => ("queue_full", Status::TOO_MANY_REQUESTS, "The queue is full", "The service is at its limit and refuses early. Come back after Retry-After seconds."),
+            Code::QuotaExceeded => ("quota_exceeded", Status::TOO_MANY_REQUESTS, "Your quota is used up", "You have as many unfinished jobs as one caller may have."),
+            Code::IdempotencyMismatch => ("idempotency_mismatch", Status::UNPROCESSABLE_ENTITY, "The key belongs to another request", "Within 24 hours an Idempotency-Key stands for one request; this one differs from it."),
+            Code::IdempotencyInProgress => ("idempotency_in_progress", Status::CONFLICT, "Still being answered", "The first request with this Idempotency-Key has no answer yet."),
             Code::Starting => ("starting", Status::SERVICE_UNAVAILABLE, "The service is starting", "The networks are being loaded and tested."),
             Code::Work(Work::TooLarge) => ("too_large", Status::PAYLOAD_TOO_LARGE, "The upload is too large", "The upload has more bytes than the service takes."),
             Code::Work(Work::TooManyFaces) => ("too_many_faces", Status::PAYLOAD_TOO_LARGE, "Too many faces", "The mesh has more faces than the service takes."),
@@ -106,6 +120,7 @@ impl Code {
             Code::Work(Work::NumericalFailure) => ("numerical_failure", Status::INTERNAL_SERVER_ERROR, "A network gave no numbers", "A network gave values that are infinite or not a number. This is a defect of the service."),
             Code::Work(Work::OutputInvalid) => ("output_invalid", Status::INTERNAL_SERVER_ERROR, "The result failed its check", "The file made did not pass its validation and is withheld. This is a defect of the service."),
             Code::Work(Work::ModelUnavailable) => ("model_unavailable", Status::SERVICE_UNAVAILABLE, "A network is unavailable", "The method's networks are not here, or failed their self-test. No other method is used in its place."),
+            Code::Work(Work::WorkerLost) => ("worker_lost", Status::SERVICE_UNAVAILABLE, "The worker was lost", "The process that did the work ended, twice, before the job was done."),
             Code::Work(Work::Draining) => ("draining", Status::SERVICE_UNAVAILABLE, "The service is stopping", "The service was asked to stop and takes no new work. Send the request again later."),
             Code::Work(Work::Canceled) => ("canceled", Status::CONFLICT, "Canceled", "The job was canceled by request."),
             Code::Work(Work::Internal) => ("internal", Status::INTERNAL_SERVER_ERROR, "An error of the service", "Not your fault. The request id leads the operator to the cause."),
@@ -140,15 +155,15 @@ const ROOM_RETRY: Duration = Duration::from_secs(30);
 #[derive(Clone, Debug, Serialize, ToSchema)]
 pub struct Limit {
     #[schema(example = "upload_bytes")]
-    pub name: &'static str,
+    pub name: String,
     pub max: u64,
     /// `null` when reading stopped at the limit.
     pub actual: Option<u64>,
 }
 
-impl From<ExceededLimit> for Limit {
-    fn from(limit: ExceededLimit) -> Self {
-        Self { name: limit.name, max: limit.max, actual: limit.actual }
+impl From<PassedLimit> for Limit {
+    fn from(limit: PassedLimit) -> Self {
+        Self { name: limit.name.into_owned(), max: limit.max, actual: limit.actual }
     }
 }
 
@@ -162,7 +177,7 @@ impl ApiError {
         self
     }
 
-    fn retry_after(mut self, time: Duration) -> Self {
+    pub fn retry_after(mut self, time: Duration) -> Self {
         self.about.retry_after = Some(time);
         self
     }
@@ -203,7 +218,7 @@ impl ApiError {
         let detail = format!("the upload has {seen} bytes; {max} are accepted");
         let mut error = Self::new(Code::Work(ErrorCode::TooLarge), detail)
             .hint("leave textures out, or simplify the mesh; neither changes the rig much");
-        error.about.limit = Some(Limit { name: "upload_bytes", max, actual });
+        error.about.limit = Some(Limit { name: "upload_bytes".to_owned(), max, actual });
         error
     }
 
@@ -251,7 +266,16 @@ impl ApiError {
     fn retryable(&self) -> bool {
         match self.code {
             Code::Work(code) => code.retryable(),
-            code => matches!(code, Code::QueueFull | Code::Starting | Code::UploadTimeout | Code::UploadIncomplete),
+            code => matches!(
+                code,
+                Code::QueueFull
+                    | Code::QuotaExceeded
+                    | Code::RateLimited
+                    | Code::IdempotencyInProgress
+                    | Code::Starting
+                    | Code::UploadTimeout
+                    | Code::UploadIncomplete
+            ),
         }
     }
 }
@@ -293,9 +317,27 @@ impl From<Refusal> for ApiError {
                 .retry_after(retry_after)
                 .hint("send the same request again after Retry-After seconds"),
             Refusal::Option(error) => Self::fields(vec![error]),
+            Refusal::QuotaExceeded { retry_after, .. } => Self::new(Code::QuotaExceeded, detail)
+                .retry_after(retry_after)
+                .hint("wait for one of your jobs to end, or cancel one"),
             Refusal::Store(error) => Self::store(&error),
+            Refusal::Unavailable(error) => error.into(),
+            Refusal::NotFound(_) => Self::new(Code::NotFound, detail),
+            Refusal::IdempotencyMismatch => {
+                Self::new(Code::IdempotencyMismatch, detail).hint("take a new key for another request")
+            }
+            Refusal::IdempotencyInProgress => Self::new(Code::IdempotencyInProgress, detail)
+                .retry_after(Duration::from_secs(1))
+                .hint("send the same request again in a moment"),
+            Refusal::ClientIdTaken => Self::new(Code::Conflict, detail).hint("take another id for another request"),
             Refusal::Check(error) => error.into(),
         }
+    }
+}
+
+impl From<StoreFailure> for ApiError {
+    fn from(error: StoreFailure) -> Self {
+        Self::internal(&error)
     }
 }
 
@@ -304,6 +346,7 @@ pub fn denied(denied: Denied, code: Code) -> ApiError {
     match denied {
         Denied::NotFound => ApiError::not_found("such job"),
         Denied::State(state) => ApiError::new(code, format!("the job is {}", state.name())),
+        Denied::Unavailable(error) => error.into(),
     }
 }
 

@@ -1,8 +1,8 @@
 //! The REST interface. A handler extracts, calls [`crate::jobs`], and answers.
 
 pub mod artifacts;
+pub mod authenticate;
 pub mod error;
-mod file_body;
 mod media;
 mod negotiate;
 pub mod openapi;
@@ -11,7 +11,7 @@ mod receive;
 pub mod rigs;
 mod segments;
 pub mod service;
-mod timestamp;
+pub(super) mod timestamp;
 pub mod views;
 
 use self::error::{ApiError, Code};
@@ -19,7 +19,7 @@ use super::App;
 use axum::Router;
 use axum::extract::DefaultBodyLimit;
 use axum::http::{Method, Uri};
-use axum::middleware::from_fn;
+use axum::middleware::{from_fn, from_fn_with_state};
 use axum::routing::{get, post};
 use tower_http::catch_panic::CatchPanicLayer;
 
@@ -30,6 +30,7 @@ pub fn routes(app: App) -> Router {
         .route("/docs", get(openapi::docs))
         .route("/livez", get(service::livez))
         .route("/readyz", get(service::readyz))
+        .route("/startupz", get(service::startupz))
         .route("/version", get(service::version))
         .route("/v1/openapi.json", get(openapi::openapi))
         .route("/v1/problems", get(service::list_problems))
@@ -45,6 +46,7 @@ pub fn routes(app: App) -> Router {
         // Uploads have a limit of their own, in `receive`.
         .layer(DefaultBodyLimit::disable())
         .layer(CatchPanicLayer::custom(outermost::panicked))
+        .layer(from_fn_with_state(app.clone(), authenticate::authenticate))
         .layer(from_fn(outermost::outermost))
         .with_state(app)
 }

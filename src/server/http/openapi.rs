@@ -23,7 +23,7 @@ use utoipa::OpenApi;
         rigs::create_rig, rigs::get_rig, rigs::list_rigs, rigs::cancel_rig, rigs::delete_rig, rigs::check_rig,
         artifacts::list_artifacts, artifacts::get_artifact,
         service::list_methods, service::list_problems, service::get_problem,
-        service::livez, service::readyz, service::version,
+        service::livez, service::readyz, service::startupz, service::version,
     ),
 )]
 struct Description;

@@ -1,18 +1,28 @@
-//! What happens to every request: an id, a line in the log, and a body for every refusal.
+//! What happens to every request: an id, a line in the log, a count, and a body for every refusal.
 
 use super::error::{ApiError, ProblemView};
+use crate::jobs::JobId;
+use crate::telemetry::metrics as names;
+use crate::telemetry::traces::TraceParent;
 use axum::body::Body;
-use axum::extract::Request;
-use axum::http::{HeaderName, HeaderValue, header};
+use axum::extract::{MatchedPath, Request};
+use axum::http::{HeaderName, HeaderValue, Method, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
+use metrics::{counter, gauge, histogram};
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 use tracing::Instrument;
 use uuid::Uuid;
 
 pub const X_REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
+const TRACE_PARENT: HeaderName = HeaderName::from_static("traceparent");
+const SERVER_TIMING: HeaderName = HeaderName::from_static("server-timing");
 const REQUEST_ID_BYTES_MAX: usize = 128;
+
+/// The job that a request is about, for its line in the log. Handlers put it into the answer's extensions.
+#[derive(Clone, Copy, Debug)]
+pub struct AboutJob(pub JobId);
 
 /// Wraps the whole service.
 pub async fn outermost(request: Request, next: Next) -> Response {
@@ -20,21 +30,79 @@ pub async fn outermost(request: Request, next: Next) -> Response {
     let id = request_id(&request);
     let method = request.method().clone();
     let path = request.uri().path().to_owned();
-    let span = tracing::info_span!("request", request.id = id, %method, path);
+    let route = Route::of(&request);
+    let parent = request.headers().get(TRACE_PARENT).and_then(|value| TraceParent::parse(value.to_str().ok()?));
+    let trace = parent.map(|parent| parent.trace_id()).unwrap_or_default();
+    let empty = tracing::field::Empty;
+    let span = tracing::info_span!("request", request.id = id, trace.id = trace, %method, path, caller = empty);
+    if let Some(parent) = parent {
+        parent.adopt(&span);
+    }
+    let in_flight = InFlight::new();
     let mut response = next.run(request).instrument(span.clone()).await;
+    drop(in_flight);
     let refusal = response.extensions_mut().remove::<Arc<ApiError>>();
     let code = refusal.as_ref().map_or("", |refusal| refusal.code.facts().code);
     if let Some(refusal) = refusal {
         write_problem(&mut response, &refusal.view(&path, &id));
     }
+    let job = response.extensions().get::<AboutJob>().map(|AboutJob(job)| job.to_string()).unwrap_or_default();
+    let taken = began.elapsed();
     let fields = response.headers_mut();
     if let Ok(id) = HeaderValue::from_str(&id) {
         fields.insert(X_REQUEST_ID, id);
     }
     fields.insert(header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
-    let (status, duration_ms) = (response.status().as_u16(), began.elapsed().as_millis() as u64);
-    span.in_scope(|| tracing::info!(status, code, duration_ms, "{method} {path} answered {status}"));
+    if let Ok(total) = HeaderValue::from_str(&format!("total;dur={:.1}", taken.as_secs_f64() * 1000.0)) {
+        fields.append(SERVER_TIMING, total);
+    }
+    let status = response.status().as_u16();
+    count(&method, route, status, code, taken);
+    let duration_ms = taken.as_millis() as u64;
+    span.in_scope(|| tracing::info!(status, code, job.id = job, duration_ms, "{method} {path} answered {status}"));
     response
+}
+
+/// The pattern of the path, which is one of few; what is nowhere has none.
+struct Route(Option<MatchedPath>);
+
+impl Route {
+    fn of(request: &Request) -> Self {
+        Self(request.extensions().get::<MatchedPath>().cloned())
+    }
+
+    fn name(&self) -> String {
+        self.0.as_ref().map_or("none", MatchedPath::as_str).to_owned()
+    }
+}
+
+fn count(method: &Method, route: Route, status: u16, code: &'static str, taken: Duration) {
+    let route = route.name();
+    // Names that callers make up would be labels without end.
+    let known = [Method::GET, Method::HEAD, Method::POST, Method::PUT, Method::DELETE, Method::OPTIONS, Method::PATCH];
+    let method = known.iter().find(|known| *known == method).map_or("other", Method::as_str).to_owned();
+    counter!(names::HTTP_REQUESTS, "route" => route.clone(), "method" => method.clone(), "status" => status.to_string())
+        .increment(1);
+    histogram!(names::HTTP_SECONDS, "route" => route, "method" => method).record(taken.as_secs_f64());
+    if !code.is_empty() {
+        counter!(names::REFUSALS, "code" => code).increment(1);
+    }
+}
+
+/// Counts a request while it is answered, also when its caller hangs up.
+struct InFlight;
+
+impl InFlight {
+    fn new() -> Self {
+        gauge!(names::HTTP_IN_FLIGHT).increment(1.0);
+        Self
+    }
+}
+
+impl Drop for InFlight {
+    fn drop(&mut self) {
+        gauge!(names::HTTP_IN_FLIGHT).decrement(1.0);
+    }
 }
 
 /// The caller's id when it is fit for a log, else one of ours.

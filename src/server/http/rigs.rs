@@ -7,7 +7,7 @@ use super::negotiate::{self, Answer, PREFERENCE_APPLIED, WAIT_MAX, query};
 use super::receive;
 use super::segments::Segments;
 use super::views::{JobListView, JobView, OptionsView, job_path, timings_ms};
-use crate::jobs::{ErrorCode, Job, JobId, JobState, Output};
+use crate::jobs::{Caller, ErrorCode, Job, JobFilter, JobId, JobState, NoPage, Output, Source, Submission};
 use axum::Json;
 use axum::extract::{Request, State};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, Uri, header};
@@ -85,7 +85,8 @@ pub async fn create_rig(State(app): State<App>, request: Request) -> Result<Resp
     if answer == Answer::Glb && !options.outputs.contains(&Output::Glb) {
         return Err(ApiError::new(Code::NotAcceptable, "Accept asks for model/gltf-binary, but outputs leaves it out"));
     }
-    let job = app.jobs.submit(received, options).await?;
+    let submission = Submission::new(Caller::anonymous(), Source::Upload(received), options);
+    let job = app.jobs.submit(submission).await?.job;
     let job = after(&app, job, wait).await?;
     let mut response = match answer {
         Answer::Glb if job.state.is_final() => rigged_file(&app, &job).await,
@@ -158,22 +159,21 @@ pub async fn get_rig(
     extensions(("x-curl" = json!("curl '$HOST/v1/rigs?state=succeeded&page_size=5'"))),
 )]
 pub async fn list_rigs(State(app): State<App>, uri: Uri) -> Result<Json<JobListView>, ApiError> {
-    let (mut before, mut state, mut count) = (None, None, PAGE_SIZE);
+    let (mut page_token, mut filter, mut count) = (None, JobFilter::default(), PAGE_SIZE);
     for (name, value) in query(&uri, &["state", "page_size", "page_token"])? {
         match name.as_str() {
-            "state" => state = Some(state_named(&value)?),
+            "state" => filter.state = Some(state_named(&value)?),
             "page_size" => count = page_size(&value)?,
-            _ => {
-                before =
-                    Some(value.parse().map_err(|_| ApiError::field("page_token", "was not given by this service"))?)
-            }
+            _ => page_token = Some(value),
         }
     }
-    let mut jobs = app.jobs.list(before, state, count + 1).await;
-    let more = jobs.len() > count;
-    jobs.truncate(count);
-    let next_page_token = jobs.last().filter(|_| more).map(|job| job.id.to_string());
-    Ok(Json(JobListView { object: "list", data: jobs.iter().map(JobView::from).collect(), next_page_token }))
+    let page = app.jobs.list(&Caller::anonymous(), &filter, page_token.as_deref(), count).await;
+    let page = page.map_err(|error| match error {
+        NoPage::BadToken => ApiError::field("page_token", format!("{error}")),
+        NoPage::Unavailable(error) => error.into(),
+    })?;
+    let data = page.jobs.iter().map(JobView::from).collect();
+    Ok(Json(JobListView { object: "list", data, next_page_token: page.next_page_token }))
 }
 
 fn state_named(name: &str) -> Result<JobState, ApiError> {
@@ -205,7 +205,8 @@ fn page_size(text: &str) -> Result<usize, ApiError> {
     extensions(("x-curl" = json!("curl -X POST $HOST/v1/rigs/$ID:cancel"))),
 )]
 pub async fn cancel_rig(app: &App, id: &str) -> Result<Json<JobView>, ApiError> {
-    let job = app.jobs.cancel(parse(id)?).await.map_err(|error| denied(error, Code::NotCancelable))?;
+    let job =
+        app.jobs.cancel(&Caller::anonymous(), parse(id)?).await.map_err(|error| denied(error, Code::NotCancelable))?;
     Ok(Json((&job).into()))
 }
 
@@ -247,7 +248,7 @@ pub async fn delete_rig(
     uri: Uri,
 ) -> Result<StatusCode, ApiError> {
     query(&uri, &[])?;
-    let deleted = app.jobs.delete(parse(&id)?).await;
+    let deleted = app.jobs.delete(&Caller::anonymous(), parse(&id)?).await;
     deleted.map_err(|error| denied(error, Code::Conflict).hint("POST to {id}:cancel first"))?;
     Ok(StatusCode::NO_CONTENT)
 }
@@ -280,7 +281,7 @@ pub async fn delete_rig(
 pub async fn check_rig(State(app): State<App>, request: Request) -> Result<Json<Map<String, Value>>, ApiError> {
     let receive::Order { received, options } = receive::order(&app, request).await?;
     let mut checked = Map::from_iter([("object".to_owned(), "check".into())]);
-    checked.extend(app.jobs.check(received, options).await?);
+    checked.extend(app.jobs.check(&Caller::anonymous(), Source::Upload(received), options).await?);
     Ok(Json(checked))
 }
 
@@ -289,15 +290,17 @@ fn parse(id: &str) -> Result<JobId, ApiError> {
 }
 
 pub async fn find(app: &App, id: &str) -> Result<Job, ApiError> {
-    app.jobs.get(parse(id)?).await.ok_or_else(|| ApiError::not_found("such job"))
+    app.jobs.get(&Caller::anonymous(), parse(id)?).await?.ok_or_else(|| ApiError::not_found("such job"))
 }
 
 /// The job, after waiting for its end for a time.
 async fn after(app: &App, job: Job, wait: Option<Duration>) -> Result<Job, ApiError> {
     match wait {
-        Some(wait) if !wait.is_zero() => {
-            app.jobs.wait(job.id, wait).await.ok_or_else(|| ApiError::not_found("such job any more; it was deleted"))
-        }
+        Some(wait) if !wait.is_zero() => app
+            .jobs
+            .wait(&Caller::anonymous(), job.id, wait)
+            .await?
+            .ok_or_else(|| ApiError::not_found("such job any more; it was deleted")),
         _ => Ok(job),
     }
 }

@@ -5,7 +5,7 @@ use super::error::{ApiError, Code, Facts, ProblemView};
 use super::negotiate::query;
 use super::segments::Segments;
 use super::views::{ModelView, models};
-use crate::jobs::{Availability, MethodInfo};
+use crate::jobs::{Availability, MethodInfo, Refusal};
 use axum::Json;
 use axum::extract::State;
 use axum::http::Uri;
@@ -107,6 +107,25 @@ pub async fn livez() -> Json<StatusView> {
 pub async fn readyz(State(app): State<App>) -> Result<Json<StatusView>, ApiError> {
     app.jobs.ready()?;
     Ok(Json(StatusView { status: "ok" }))
+}
+
+/// Has the service started?
+///
+/// For probes that wait for a slow start: `200` from the moment the networks are loaded and tested, also while the
+/// service drains or when a network failed its test; `/readyz` tells those.
+#[utoipa::path(
+    get, path = "/startupz", tag = "service",
+    responses(
+        (status = 200, description = "Yes", body = StatusView),
+        (status = 503, description = "`starting`", body = ProblemView, content_type = "application/problem+json"),
+    ),
+    extensions(("x-curl" = json!("curl $HOST/startupz"))),
+)]
+pub async fn startupz(State(app): State<App>) -> Result<Json<StatusView>, ApiError> {
+    match app.jobs.ready() {
+        Err(refusal @ Refusal::Starting) => Err(refusal.into()),
+        _ => Ok(Json(StatusView { status: "ok" })),
+    }
 }
 
 /// Which version runs.

@@ -2,10 +2,11 @@
 
 use super::error::Limit;
 use super::timestamp::rfc3339;
-use crate::formats::{Finding, Severity};
+use crate::formats::Severity;
 use crate::jobs::options::{axis_name, skin_method_name};
 use crate::jobs::{
-    ArtifactInfo, FileInfo, Job, JobError, JobRequest, JobResult, JobState, LevelOfDetail, ModelInfo, RigOptions,
+    ArtifactInfo, FileInfo, Job, JobError, JobRequest, JobResult, JobState, LevelOfDetail, ModelInfo, Notice,
+    RigOptions,
 };
 use serde::Serialize;
 use serde_json::{Map, Value};
@@ -87,6 +88,11 @@ pub struct OptionsView {
     #[param(required = false, default = "auto")]
     #[schema(example = "auto")]
     pub skin_method: &'static str,
+    /// A skeleton to make weights for, instead of making one: the text of a `rig.json`, of which `format` and `joints` are
+    /// read; in the JSON part `options` also as an object. It stays as it is. A job shows how many joints it has.
+    #[param(required = false)]
+    #[schema(example = json!(null))]
+    pub skeleton: Option<String>,
     /// Joints per vertex at most.
     #[param(required = false, default = 4, minimum = 1, maximum = 8)]
     #[schema(example = 4, minimum = 1, maximum = 8)]
@@ -157,7 +163,7 @@ pub struct ModelView {
 #[schema(as = Finding)]
 pub struct FindingView {
     #[schema(example = "degenerate_faces")]
-    pub code: &'static str,
+    pub code: String,
     #[schema(example = "warning")]
     pub severity: &'static str,
     #[schema(example = "12 faces have no area and are ignored")]
@@ -183,7 +189,7 @@ pub struct ArtifactView {
     #[schema(example = "rigged.glb")]
     pub name: String,
     #[schema(example = "model/gltf-binary")]
-    pub media_type: &'static str,
+    pub media_type: String,
     #[schema(example = 531_004)]
     pub bytes: u64,
     #[schema(example = "fcde2b2edba56bf408601fb721fe9b5c338d10ee429ea04fae5511b68fbf8fb9")]
@@ -282,7 +288,7 @@ impl From<&Job> for JobView {
                 asset_sha256: asset_sha256(&job.request),
                 service_version: env!("CARGO_PKG_VERSION"),
                 models: result.map(|result| models(&result.models)).unwrap_or_default(),
-                cached: false,
+                cached: job.cached,
             },
             timings_ms: timings_ms(job).collect(),
             warnings: result.map(|result| result.findings.iter().map(FindingView::from).collect()).unwrap_or_default(),
@@ -337,7 +343,7 @@ impl ArtifactView {
     pub fn new(job: &Job, artifact: &ArtifactInfo) -> Self {
         Self {
             name: artifact.name.clone(),
-            media_type: artifact.media_type,
+            media_type: artifact.media_type.clone(),
             bytes: artifact.bytes,
             sha256: hex(&artifact.sha256),
             url: format!("{}/artifacts/{}", job_path(job), artifact.name),
@@ -357,6 +363,7 @@ impl From<&RigOptions> for OptionsView {
             bandwidth,
             symmetry: options.symmetry.name(),
             skin_method: skin_method_name(options.skin_method),
+            skeleton: options.skeleton.as_ref().map(|skeleton| format!("{} joints", skeleton.joints.len())),
             max_influences: options.max_influences,
             seed: options.seed,
             up: axis_name(options.up),
@@ -373,13 +380,13 @@ impl From<&FileInfo> for FileView {
     }
 }
 
-impl From<&Finding> for FindingView {
-    fn from(finding: &Finding) -> Self {
+impl From<&Notice> for FindingView {
+    fn from(finding: &Notice) -> Self {
         let severity = match finding.severity {
             Severity::Info => "info",
             Severity::Warning => "warning",
         };
-        Self { code: finding.code, severity, message: finding.message.clone(), hint: finding.hint.clone() }
+        Self { code: finding.code.clone(), severity, message: finding.message.clone(), hint: finding.hint.clone() }
     }
 }
 
@@ -392,7 +399,7 @@ impl From<&JobError> for JobErrorView {
             hint: Some(error.hint.clone()).filter(|hint| !hint.is_empty()),
             retryable: error.code.retryable(),
             r#type: format!("/v1/problems/{}", error.code.name()),
-            limit: error.limit.map(Limit::from),
+            limit: error.limit.clone().map(Limit::from),
         }
     }
 }

@@ -48,6 +48,13 @@ async fn request_ids_are_echoed_when_they_are_fit_for_a_log() {
     assert_eq!(service.get("/version").await.json()["name"], "rigsmith");
 }
 
+#[tokio::test]
+async fn every_answer_says_how_long_it_took() {
+    let answer = Service::new().get("/livez").await;
+    let total = answer.header("server-timing").strip_prefix("total;dur=").and_then(|ms| ms.parse::<f64>().ok());
+    assert!(total.is_some_and(|ms| ms < 10_000.0), "{}", answer.header("server-timing"));
+}
+
 /// All `$ref`s of the document lead somewhere, and every operation is complete.
 #[tokio::test]
 async fn the_description_is_whole() {

@@ -147,3 +147,94 @@ async fn after_the_grace_running_jobs_are_stopped_and_say_why() {
     running.ended.await.expect("no panic").expect("a clean end");
     assert!(began.elapsed() < Duration::from_secs(8));
 }
+
+/// Sends `bytes` on a connection of its own and gives all that comes back until the service closes it.
+async fn exchange(base: &str, bytes: Vec<u8>) -> (String, Duration) {
+    let address = base.trim_start_matches("http://").to_owned();
+    tokio::task::spawn_blocking(move || {
+        let mut socket = TcpStream::connect(address).expect("connects");
+        socket.set_read_timeout(Some(Duration::from_secs(5))).expect("a timeout");
+        let began = Instant::now();
+        // The service may refuse and close before it has read everything.
+        let _ = socket.write_all(&bytes);
+        let mut answer = Vec::new();
+        let _ = socket.read_to_end(&mut answer);
+        (String::from_utf8_lossy(&answer).into_owned(), began.elapsed())
+    })
+    .await
+    .expect("a call")
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_header_that_trickles_or_never_comes_is_cut_off() {
+    let service = Service::with(|_, limits| limits.connection.header_time_max = Duration::from_millis(200));
+    let running = start(&service).await;
+    for begun in ["", "GET /livez HTTP/1.1\r\nHost: x\r\nX-Slow: "] {
+        let (answer, took) = exchange(&running.base, begun.into()).await;
+        assert!(answer.is_empty() || answer.starts_with("HTTP/1.1 408"), "{answer}");
+        assert!((Duration::from_millis(150)..Duration::from_secs(2)).contains(&took), "{took:?}");
+    }
+    assert_eq!(get(&running.base, "/livez").await.0, 200);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn headers_beyond_the_limit_are_refused_and_nonsense_is_too() {
+    let service = Service::new();
+    let running = start(&service).await;
+    let with =
+        |field: String| format!("GET /livez HTTP/1.1\r\nHost: x\r\n{field}Connection: close\r\n\r\n").into_bytes();
+    let many: String = (0..200).map(|index| format!("X-{index}: y\r\n")).collect();
+    for (bytes, status) in [
+        (with(format!("X-Big: {}\r\n", "y".repeat(30 * 1024))), "200"),
+        (with(format!("X-Big: {}\r\n", "y".repeat(70 * 1024))), "431"),
+        (with(many), "431"),
+        (b"nonsense\r\n\r\n".to_vec(), "400"),
+        (with("Content-Length: 5\r\nContent-Length: 6\r\n".to_owned()), "400"),
+        (with("Content-Length: -1\r\n".to_owned()), "400"),
+        (b"GET /livez HTTP/1.1\r\nHost: x\r\nBad Name: y\r\n\r\n".to_vec(), "400"),
+    ] {
+        let (answer, _) = exchange(&running.base, bytes).await;
+        assert!(answer.starts_with(&format!("HTTP/1.1 {status}")), "{status}: {}", answer.get(..60).unwrap_or(&answer));
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_caller_who_takes_no_answer_is_left() {
+    let service = Service::with(|_, limits| {
+        limits.connection.write_pause_max = Duration::from_millis(300);
+        limits.connection.connections_max = 1;
+    });
+    let running = start(&service).await;
+    let done = service.rig("", &[("prefer", "wait=10")], "ok").await.json();
+    let url = done["result"]["artifacts"][0]["url"].as_str().expect("a url").to_owned();
+    let asked = format!("GET {url} HTTP/1.1\r\nHost: x\r\n\r\n").repeat(60);
+    let mut socket = TcpStream::connect(running.base.trim_start_matches("http://")).expect("connects");
+    socket.write_all(asked.as_bytes()).expect("sends");
+    // The only place is free again although the first caller neither reads nor goes.
+    let answered = tokio::time::timeout(Duration::from_secs(10), get(&running.base, "/livez")).await;
+    assert_eq!(answered.expect("an answer").0, 200);
+    drop(socket);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_body_of_another_length_than_declared_is_refused_or_cut() {
+    let service = Service::new();
+    let running = start(&service).await;
+    let post = |fields: &str, body: &str| {
+        format!("POST /v1/rigs HTTP/1.1\r\nHost: x\r\nContent-Type: model/obj\r\n{fields}\r\n\r\n{body}").into_bytes()
+    };
+    // Too short: the sender pauses for longer than it may.
+    let (answer, _) = exchange(&running.base, post("Content-Length: 100\r\nConnection: close", "ok")).await;
+    assert!(answer.starts_with("HTTP/1.1 408") && answer.contains("upload_timeout"), "{answer}");
+    // Too long: what follows the body is another request, and no sound one.
+    let (answer, _) = exchange(&running.base, post("Content-Length: 2", "ok and more\r\n\r\n")).await;
+    assert!(answer.starts_with("HTTP/1.1 202") && answer.contains("HTTP/1.1 400"), "{answer}");
+    for chunks in ["zz\r\nok\r\n0\r\n\r\n", "5\r\nok"] {
+        let (answer, _) =
+            exchange(&running.base, post("Transfer-Encoding: chunked\r\nConnection: close", chunks)).await;
+        assert!(answer.starts_with("HTTP/1.1 4"), "{answer}");
+    }
+    let both = post("Content-Length: 2\r\nTransfer-Encoding: chunked\r\nConnection: close", "2\r\nok\r\n0\r\n\r\n");
+    let (answer, _) = exchange(&running.base, both).await;
+    assert!(answer.starts_with("HTTP/1.1 4") || answer.starts_with("HTTP/1.1 202"), "one of the two counts: {answer}");
+}

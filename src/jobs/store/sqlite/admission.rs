@@ -1,0 +1,382 @@
+//! A job is written down, or found; uploads become assets.
+
+use super::rows::{self, JOB};
+use super::{append, int, millis, reading};
+use crate::jobs::asset::Asset;
+use crate::jobs::clock::Timestamp;
+use crate::jobs::event::EventKind;
+use crate::jobs::ids::{AssetId, JobId};
+use crate::jobs::job::{FileInfo, Job, JobState};
+use crate::jobs::store::{Admission, IDEMPOTENCY_TIME, NewFiles, NewJob, StoreFailure, codec};
+use crate::jobs::submission::{Caller, Missing};
+use crate::jobs::upload::{asset_sha256, identity};
+use crate::storage::NewBlob;
+use sha2::{Digest, Sha256};
+use sqlx::{Row, SqliteConnection};
+use std::time::SystemTime;
+
+/// The files of a new job, as far as they are kept already.
+struct Files {
+    infos: Vec<FileInfo>,
+    asset: Option<AssetId>,
+    memory_bytes: u64,
+}
+
+pub async fn submit(
+    connection: &mut SqliteConnection,
+    new: &NewJob,
+    now: Timestamp,
+) -> Result<Admission, StoreFailure> {
+    let known = match &new.files {
+        NewFiles::Received { .. } => None,
+        NewFiles::Asset(id) => match asset(connection, &new.caller, *id).await? {
+            Some((asset, memory_bytes)) => Some(Files { infos: asset.files, asset: Some(*id), memory_bytes }),
+            None => return Ok(Admission::Missing(Missing::Asset)),
+        },
+        NewFiles::Job(id) => match files_of_job(connection, &new.caller, *id).await? {
+            Some(files) => Some(files),
+            None => return Ok(Admission::Missing(Missing::Job)),
+        },
+    };
+    let digest = files_digest(new, known.as_ref());
+    let (fingerprint, cache_key) = (joined(&new.wish, &digest), joined(&new.recipe, &digest));
+    if let Some(found) = repetition(connection, new, &fingerprint, now).await? {
+        return Ok(found);
+    }
+    let earlier = if new.use_cache { earlier_result(connection, &cache_key, now).await? } else { None };
+    if earlier.is_none()
+        && let Some(refused) = no_room(connection, new).await?
+    {
+        return Ok(refused);
+    }
+    let (files, mut kept) = match (known, &new.files) {
+        (None, NewFiles::Received { files, memory_bytes }) => {
+            let until = now.after(new.asset_retention);
+            let put = keep_files(connection, &new.caller, files, *memory_bytes, now, until).await?;
+            (Files { infos: put.asset.files, asset: Some(put.asset.id), memory_bytes: *memory_bytes }, put.kept)
+        }
+        (Some(files), _) => {
+            touch(connection, files.asset, now, now.after(new.asset_retention)).await?;
+            (files, Vec::new())
+        }
+        (None, _) => return Ok(Admission::Missing(Missing::Asset)),
+    };
+    if let Some(skeleton) = &new.skeleton {
+        kept.extend(rows::name_blobs(connection, std::slice::from_ref(skeleton), now).await?);
+    }
+    let id = JobId::new();
+    insert(connection, id, new, &files, (&fingerprint, &cache_key), now).await?;
+    let skeleton = new.skeleton.iter().map(|skeleton| skeleton.sha256);
+    rows::hold_blobs(connection, id, files.infos.iter().map(|file| file.sha256).chain(skeleton)).await?;
+    append(connection, id, now, &[EventKind::State { state: JobState::Queued, attempt: 0 }]).await?;
+    if let Some(earlier) = earlier {
+        succeed_at_once(connection, id, &earlier, now, now.after(new.retention)).await?;
+    }
+    if let Some(key) = &new.idempotency_key {
+        note_key(connection, &new.caller, key, &fingerprint, id, now).await?;
+    }
+    let job = reading::snapshot(connection, id).await?;
+    let job = job.ok_or_else(|| StoreFailure::new(&"a new job is not there"))?;
+    Ok(Admission::Admitted { job: Box::new(job), kept })
+}
+
+fn joined(first: &[u8; 32], second: &[u8; 32]) -> [u8; 32] {
+    Sha256::new().chain_update(first).chain_update(second).finalize().into()
+}
+
+/// Digest of the files and the skeleton of a new job.
+fn files_digest(new: &NewJob, known: Option<&Files>) -> [u8; 32] {
+    let files = match (&new.files, known) {
+        (NewFiles::Received { files, .. }, _) => identity(files.iter().map(|file| (file.name.as_str(), &file.sha256))),
+        (_, Some(known)) => identity(known.infos.iter().map(|file| (file.name.as_str(), &file.sha256))),
+        (_, None) => [0; 32],
+    };
+    new.skeleton.as_ref().map_or(files, |skeleton| joined(&files, &skeleton.sha256))
+}
+
+/// The job that the same request made before, by its idempotency key or by the caller's id.
+async fn repetition(
+    connection: &mut SqliteConnection,
+    new: &NewJob,
+    fingerprint: &[u8; 32],
+    now: Timestamp,
+) -> Result<Option<Admission>, StoreFailure> {
+    if let Some(key) = &new.idempotency_key {
+        let row =
+            sqlx::query("SELECT fingerprint, job FROM idempotency WHERE caller = ? AND key = ? AND expires_at > ?")
+                .bind(new.caller.name())
+                .bind(key)
+                .bind(now.0)
+                .fetch_optional(&mut *connection)
+                .await?;
+        if let Some(row) = row {
+            let job = row.try_get::<Option<&[u8]>, _>("job")?.map(rows::bytes).transpose()?.map(JobId::from_bytes);
+            return match job {
+                Some(id) if row.try_get::<&[u8], _>("fingerprint")? == fingerprint => {
+                    let job = reading::snapshot(connection, id).await?;
+                    Ok(job.map(|job| Admission::Replayed(Box::new(job))))
+                }
+                _ => Ok(Some(Admission::IdempotencyMismatch)),
+            };
+        }
+    }
+    if let Some(client_id) = &new.client_id {
+        let row = sqlx::query("SELECT id, fingerprint FROM jobs WHERE caller = ? AND client_id = ?")
+            .bind(new.caller.name())
+            .bind(client_id)
+            .fetch_optional(&mut *connection)
+            .await?;
+        if let Some(row) = row {
+            if row.try_get::<Option<&[u8]>, _>("fingerprint")? != Some(fingerprint) {
+                return Ok(Some(Admission::ClientIdTaken));
+            }
+            let job = reading::snapshot(connection, rows::job_id(&row)?).await?;
+            return Ok(job.map(|job| Admission::Replayed(Box::new(job))));
+        }
+    }
+    Ok(None)
+}
+
+async fn no_room(connection: &mut SqliteConnection, new: &NewJob) -> Result<Option<Admission>, StoreFailure> {
+    let counts = reading::counts(&mut *connection).await?;
+    if counts.queued >= new.waiting_max.saturating_add(new.workers.saturating_sub(counts.running)) {
+        return Ok(Some(Admission::QueueFull { waiting: counts.queued }));
+    }
+    let Some(unfinished_max) = new.unfinished_max else { return Ok(None) };
+    let unfinished: i64 =
+        sqlx::query_scalar("SELECT count(*) FROM jobs WHERE caller = ? AND state IN ('queued', 'running')")
+            .bind(new.caller.name())
+            .fetch_one(connection)
+            .await?;
+    let unfinished = usize::try_from(unfinished).unwrap_or(0);
+    Ok((unfinished >= unfinished_max).then_some(Admission::QuotaExceeded { unfinished }))
+}
+
+async fn insert(
+    connection: &mut SqliteConnection,
+    id: JobId,
+    new: &NewJob,
+    files: &Files,
+    (fingerprint, cache_key): (&[u8; 32], &[u8; 32]),
+    now: Timestamp,
+) -> Result<(), StoreFailure> {
+    sqlx::query(
+        "INSERT INTO jobs (id, caller, client_id, options, labels, files, skeleton, asset, priority, timeout_ms, \
+         retention_ms, deadline_at, memory_bytes, state, created_at, queued_at, fingerprint, cache_key) \
+         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, 'queued', ?, ?, ?, ?)",
+    )
+    .bind(id.to_bytes().to_vec())
+    .bind(new.caller.name())
+    .bind(new.client_id.as_deref())
+    .bind(new.options.to_json().to_string())
+    .bind(codec::labels(&new.labels).to_string())
+    .bind(codec::files(&files.infos).to_string())
+    .bind(new.skeleton.as_ref().map(|skeleton| skeleton.sha256.to_vec()))
+    .bind(files.asset.map(|asset| asset.to_bytes().to_vec()))
+    .bind(rows::priority(new.priority))
+    .bind(millis(new.timeout))
+    .bind(millis(new.retention))
+    .bind(new.deadline.map(|deadline| deadline.0))
+    .bind(int(files.memory_bytes))
+    .bind(now.0)
+    .bind(now.0)
+    .bind(fingerprint.to_vec())
+    .bind(cache_key.to_vec())
+    .execute(&mut *connection)
+    .await?;
+    for (name, value) in &new.labels {
+        sqlx::query("INSERT INTO job_labels (job, name, value) VALUES (?, ?, ?)")
+            .bind(id.to_bytes().to_vec())
+            .bind(name)
+            .bind(value)
+            .execute(&mut *connection)
+            .await?;
+    }
+    Ok(())
+}
+
+/// A kept result of an equal job.
+async fn earlier_result(
+    connection: &mut SqliteConnection,
+    cache_key: &[u8; 32],
+    now: Timestamp,
+) -> Result<Option<Job>, StoreFailure> {
+    let query = format!(
+        "{JOB} WHERE cache_key = ? AND state = 'succeeded' AND expires_at > ? ORDER BY finished_at DESC LIMIT 1"
+    );
+    let row =
+        sqlx::query(sqlx::AssertSqlSafe(query)).bind(cache_key.to_vec()).bind(now.0).fetch_optional(connection).await?;
+    row.map(|row| rows::job(&row)).transpose()
+}
+
+/// Ends a job that was just written down with the result of an earlier one.
+async fn succeed_at_once(
+    connection: &mut SqliteConnection,
+    id: JobId,
+    earlier: &Job,
+    now: Timestamp,
+    expires_at: Timestamp,
+) -> Result<(), StoreFailure> {
+    let Some(result) = &earlier.result else { return Ok(()) };
+    sqlx::query(
+        "UPDATE jobs SET state = 'succeeded', stage = ?, progress = 100, started_at = ?, finished_at = ?, \
+         expires_at = ?, queue_ms = 0, result = ?, cached = 1 WHERE id = ?",
+    )
+    .bind(earlier.stage.map(|stage| stage.name()))
+    .bind(now.0)
+    .bind(now.0)
+    .bind(expires_at.0)
+    .bind(codec::result(result).to_string())
+    .bind(id.to_bytes().to_vec())
+    .execute(&mut *connection)
+    .await?;
+    rows::hold_blobs(connection, id, result.artifacts.iter().map(|artifact| artifact.sha256)).await?;
+    append(connection, id, now, &super::ending::success(result)).await
+}
+
+async fn note_key(
+    connection: &mut SqliteConnection,
+    caller: &Caller,
+    key: &str,
+    fingerprint: &[u8; 32],
+    id: JobId,
+    now: Timestamp,
+) -> Result<(), StoreFailure> {
+    sqlx::query(
+        "INSERT INTO idempotency (caller, key, fingerprint, job, expires_at) VALUES (?, ?, ?, ?, ?) \
+         ON CONFLICT (caller, key) DO UPDATE SET fingerprint = excluded.fingerprint, job = excluded.job, \
+         answer = NULL, expires_at = excluded.expires_at",
+    )
+    .bind(caller.name())
+    .bind(key)
+    .bind(fingerprint.to_vec())
+    .bind(id.to_bytes().to_vec())
+    .bind(now.after(IDEMPOTENCY_TIME).0)
+    .execute(connection)
+    .await?;
+    Ok(())
+}
+
+/// Files that are an asset now.
+pub struct Put {
+    pub asset: Asset,
+    pub created: bool,
+    /// Locations of the blobs that were not there before.
+    pub kept: Vec<String>,
+}
+
+/// Keeps files as an asset of `caller`, or finds them.
+pub async fn keep_files(
+    connection: &mut SqliteConnection,
+    caller: &Caller,
+    files: &[NewBlob],
+    memory_bytes: u64,
+    now: Timestamp,
+    expires_at: Timestamp,
+) -> Result<Put, StoreFailure> {
+    let identity = identity(files.iter().map(|file| (file.name.as_str(), &file.sha256)));
+    let known: Option<Vec<u8>> = sqlx::query_scalar("SELECT id FROM assets WHERE caller = ? AND identity = ?")
+        .bind(caller.name())
+        .bind(identity.to_vec())
+        .fetch_optional(&mut *connection)
+        .await?;
+    if let Some(id) = known {
+        let id = AssetId::from_bytes(rows::bytes(&id)?);
+        touch(connection, Some(id), now, expires_at).await?;
+        let found = asset(connection, caller, id).await?;
+        let (asset, _) = found.ok_or_else(|| StoreFailure::new(&"an asset is not there"))?;
+        return Ok(Put { asset, created: false, kept: Vec::new() });
+    }
+    let id = AssetId::new();
+    let kept = rows::name_blobs(connection, files, now).await?;
+    let info = |file: &NewBlob| FileInfo { name: file.name.clone(), bytes: file.bytes, sha256: file.sha256 };
+    let infos: Vec<FileInfo> = files.iter().map(info).collect();
+    sqlx::query(
+        "INSERT INTO assets (id, caller, identity, files, memory_bytes, created_at, used_at, expires_at) \
+         VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+    )
+    .bind(id.to_bytes().to_vec())
+    .bind(caller.name())
+    .bind(identity.to_vec())
+    .bind(codec::files(&infos).to_string())
+    .bind(int(memory_bytes))
+    .bind(now.0)
+    .bind(now.0)
+    .bind(expires_at.0)
+    .execute(&mut *connection)
+    .await?;
+    for file in files {
+        sqlx::query("INSERT INTO asset_blobs (asset, sha256) VALUES (?, ?) ON CONFLICT DO NOTHING")
+            .bind(id.to_bytes().to_vec())
+            .bind(file.sha256.to_vec())
+            .execute(&mut *connection)
+            .await?;
+    }
+    let asset = Asset {
+        id,
+        sha256: asset_sha256(&infos),
+        files: infos,
+        created_at: SystemTime::from(now),
+        expires_at: SystemTime::from(expires_at),
+    };
+    Ok(Put { asset, created: true, kept })
+}
+
+/// An asset that is used lives on.
+async fn touch(
+    connection: &mut SqliteConnection,
+    id: Option<AssetId>,
+    now: Timestamp,
+    expires_at: Timestamp,
+) -> Result<(), StoreFailure> {
+    let Some(id) = id else { return Ok(()) };
+    sqlx::query("UPDATE assets SET used_at = max(used_at, ?), expires_at = max(expires_at, ?) WHERE id = ?")
+        .bind(now.0)
+        .bind(expires_at.0)
+        .bind(id.to_bytes().to_vec())
+        .execute(connection)
+        .await?;
+    Ok(())
+}
+
+/// An asset and the memory that rigging it is expected to need.
+pub async fn asset(
+    connection: &mut SqliteConnection,
+    caller: &Caller,
+    id: AssetId,
+) -> Result<Option<(Asset, u64)>, StoreFailure> {
+    let row = sqlx::query("SELECT files, memory_bytes, created_at, expires_at FROM assets WHERE id = ? AND caller = ?")
+        .bind(id.to_bytes().to_vec())
+        .bind(caller.name())
+        .fetch_optional(connection)
+        .await?;
+    let Some(row) = row else { return Ok(None) };
+    let files = codec::files_from(&codec::parse(row.try_get("files")?, "files")?)?;
+    let time = |column| Ok::<_, sqlx::Error>(SystemTime::from(Timestamp(row.try_get(column)?)));
+    let (created_at, expires_at) = (time("created_at")?, time("expires_at")?);
+    let memory_bytes = u64::try_from(row.try_get::<i64, _>("memory_bytes")?).unwrap_or(0);
+    Ok(Some((Asset { id, sha256: asset_sha256(&files), files, created_at, expires_at }, memory_bytes)))
+}
+
+/// The files of an earlier job, while all of them are kept.
+async fn files_of_job(
+    connection: &mut SqliteConnection,
+    caller: &Caller,
+    id: JobId,
+) -> Result<Option<Files>, StoreFailure> {
+    let row = sqlx::query("SELECT files, asset, memory_bytes FROM jobs WHERE id = ? AND caller = ?")
+        .bind(id.to_bytes().to_vec())
+        .bind(caller.name())
+        .fetch_optional(&mut *connection)
+        .await?;
+    let Some(row) = row else { return Ok(None) };
+    let infos = codec::files_from(&codec::parse(row.try_get("files")?, "files")?)?;
+    for file in &infos {
+        if rows::blob(connection, &file.sha256).await?.is_none() {
+            return Ok(None);
+        }
+    }
+    let asset = row.try_get::<Option<&[u8]>, _>("asset")?.map(rows::bytes).transpose()?.map(AssetId::from_bytes);
+    let memory_bytes = u64::try_from(row.try_get::<i64, _>("memory_bytes")?).unwrap_or(0);
+    Ok(Some(Files { infos, asset, memory_bytes }))
+}
