@@ -29,6 +29,7 @@ VALIDATION = ("rigs/val.npz", "rigs/val2.npz")
 TRAINING = ("rigs/train.npz", "rigs/train2.npz", "rigs/train_box.npz", "rigs/train_makehuman.npz")
 BLENDER = Path(__file__).parent / "blender_heat.json"
 DOCUMENT = REPOSITORY / "docs" / "models.md"
+NETWORK_MARKS = ("<!-- networks of evaluate_rigs.py -->", "<!-- end of networks -->")
 MARKS = ("<!-- tables of evaluate_rigs.py -->", "<!-- end of tables -->")
 PICTURES = 24
 
@@ -58,7 +59,7 @@ def main() -> None:
     ranked = sorted(done, key=lambda pair: pair[0]["figures"]["joints"]["rigsmith"]["iou"])
     pictures.sheet([row for _, row in ranked[:PICTURES]]).save(arguments.output / "worst-first.png", optimize=True)
     if arguments.publish:
-        publish(text)
+        publish({NETWORK_MARKS: network_table(shipped.manifest()), MARKS: text})
     print(text)
 
 
@@ -197,10 +198,31 @@ def markdown(evaluation: dict) -> list[str]:
     return lines + (["### Refused", "", *(f"- {line}" for line in refused), ""] if refused else [])
 
 
-def publish(text: str) -> None:
-    before, _, rest = DOCUMENT.read_text().partition(MARKS[0])
-    after = rest.partition(MARKS[1])[2]
-    DOCUMENT.write_text("\n".join([before + MARKS[0], "", text, MARKS[1] + after]))
+def network_table(manifest: dict) -> str:
+    """What the manifest says of each file's training."""
+    lines = ["| network | width | parameters | file | steps (characters seen) | CPU min | trained on |", "|---|---|---|---|---|---|---|"]
+    for name, entry in manifest["networks"].items():
+        runs, run = [], entry["training"]
+        while run:
+            runs.append(run)
+            run = run.get("then")
+        last = runs[-1]["data"][-1]["characters"]
+        ours = sum(count for part, count in last.items() if part.startswith("synthetic"))
+        rigs = ", ".join(f"{part} {count}" for part, count in last.items() if not part.startswith("synthetic"))
+        steps = " + ".join(f"{run['steps']:,} ({run['passes']:,})" for run in runs)
+        minutes = " + ".join(f"{run['cpu_minutes']:.0f}" for run in runs)
+        lines.append(f"| {name} | {entry['width']} | {entry['parameters']:,} | {entry['bytes'] / 2**20:.1f} MiB | {steps} | {minutes} | "
+                     f"{rigs}; generated {ours} |")
+    return "\n".join([*lines, "", "The last data of each run; the manifest lists earlier ones. Parts are shards of openly licensed rigs.", ""])
+
+
+def publish(sections: dict[tuple[str, str], str]) -> None:
+    """Puts each text between its two marks of docs/models.md."""
+    document = DOCUMENT.read_text()
+    for (begin, end), text in sections.items():
+        before, _, rest = document.partition(begin)
+        document = "\n".join([before + begin, "", text, end + rest.partition(end)[2]])
+    DOCUMENT.write_text(document)
 
 
 if __name__ == "__main__":
