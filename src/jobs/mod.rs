@@ -67,7 +67,7 @@ pub use ids::{AssetId, JobId, NotAnId};
 pub use job::{ArtifactInfo, FileInfo, Job, JobRequest, JobResult, JobState, Notice};
 pub use options::{
     DEFAULT_DETAIL, DEFAULT_MAX_INFLUENCES, ExistingRigPolicy, FieldError, FieldProblem, LevelOfDetail, OptionsReader,
-    Output, RigOptions, SkinMethod, Symmetry,
+    Output, RigOptions, Skeleton, SkinMethod, Symmetry,
 };
 pub use page::{NoPage, Page};
 pub use perform::{

@@ -469,7 +469,7 @@ impl Jobs {
     /// A waiting job ends at once; a running one is asked to. Asking twice is asking once.
     pub async fn cancel(&self, caller: &Caller, id: JobId) -> Result<Job, Denied> {
         match self.core().jobs.cancel(caller, id).await? {
-            Change::Done => {}
+            Change::Done => self.core().collect_garbage().await?,
             Change::Requested => self.core().running.stop(id, Stop::Asked),
             Change::NotFound => return Err(Denied::NotFound),
             Change::State(state) => return Err(Denied::State(state)),

@@ -110,9 +110,13 @@ fn work(core: &Arc<Core>, claim: Claim) {
     if let Some(ending) = &ending {
         counted::ended(&job, ending);
     }
+    let made_nothing = matches!(&ending, Some(Ending { outcome: Err(_), .. }));
     match ending {
         Some(ending) => tell(core, lease, ending, bundle),
         None => go_back(core, lease),
+    }
+    if made_nothing && let Err(error) = core.block_on(core.collect_garbage()) {
+        tracing::error!(%error, "the files of a job could not be removed");
     }
     core.running.end(lease);
     core.watchers.tell(id);

@@ -15,7 +15,7 @@ mod jobs;
 #[path = "http/refusals.rs"]
 mod refusals;
 #[path = "http/scripted.rs"]
-mod scripted;
+pub mod scripted;
 #[path = "http/service.rs"]
 mod service;
 #[path = "http/socket.rs"]

@@ -9,6 +9,8 @@ mod golden_geometry;
 mod golden_nets;
 mod golden_rig;
 mod http;
+mod jobs;
+mod jobs_store;
 mod metamorphic;
 mod pipeline;
 mod program;

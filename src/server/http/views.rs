@@ -93,6 +93,11 @@ pub struct OptionsView {
     #[param(required = false, default = "auto")]
     #[schema(example = "auto")]
     pub skin_method: &'static str,
+    /// A skeleton to make weights for, instead of making one: the text of a `rig.json`, of which `format` and `joints` are
+    /// read; in the JSON part `options` also as an object. It stays as it is. A job shows how many joints it has.
+    #[param(required = false)]
+    #[schema(example = json!(null))]
+    pub skeleton: Option<String>,
     /// Joints per vertex at most.
     #[param(required = false, default = 4, minimum = 1, maximum = 8)]
     #[schema(example = 4, minimum = 1, maximum = 8, required = false)]
@@ -462,6 +467,7 @@ impl From<&RigOptions> for OptionsView {
             bandwidth,
             symmetry: options.symmetry.name(),
             skin_method: skin_method_name(options.skin_method),
+            skeleton: options.skeleton.as_ref().map(|skeleton| format!("{} joints", skeleton.joints.len())),
             max_influences: options.max_influences,
             seed: options.seed,
             up: axis_name(options.up),

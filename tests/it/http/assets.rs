@@ -52,7 +52,7 @@ async fn the_bytes_come_back_as_they_were_sent_until_they_are_deleted() {
         service.get(path).await.refused(404, "not_found");
     }
     service.send(request("DELETE", &path, &[], "")).await.refused(404, "not_found");
-    service.until_files(0).await;
+    service.keeps(0);
 }
 
 #[tokio::test]

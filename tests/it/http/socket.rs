@@ -127,7 +127,7 @@ async fn stopping_lets_running_jobs_finish_and_keeps_the_waiting_ones() {
     let (status, refused) = post(&running.base, "ok", "wait=0").await;
     assert_eq!((status, &refused["code"]), (503, &"draining".into()));
     let told = service.get(waiting["links"]["self"].as_str().expect("a link")).await.json();
-    assert_eq!(told["state"], "queued", "it goes on at the next start");
+    assert_eq!((&told["state"], &told["error"]), (&"queued".into(), &Value::Null), "it goes on at the next start");
     service.until(&path, "succeeded").await;
     running.ended.await.expect("no panic").expect("a clean end");
 }
