@@ -22,11 +22,11 @@ from service import FINAL, Service, figure
 
 
 class Clients:
-    """Threads that keep `in_flight` jobs unfinished until `total` were accepted."""
+    """Threads that send `jobs` requests at once, and then one every `pause_s` or so until they are told to stop."""
 
-    def __init__(self, service, total, in_flight, threads=4):
-        self.service, self.total, self.in_flight = service, total, in_flight
-        self.lock = threading.Lock()
+    def __init__(self, service, jobs, pause_s, seed, threads=4):
+        self.service, self.jobs, self.pause_s, self.random = service, jobs, pause_s, random.Random(seed)
+        self.lock, self.stopped = threading.Lock(), threading.Event()
         self.next, self.accepted, self.unanswered, self.refused = 0, {}, 0, collections.Counter()
         self.threads = [threading.Thread(target=self.run, daemon=True) for _ in range(threads)]
 
@@ -34,12 +34,21 @@ class Clients:
         for thread in self.threads:
             thread.start()
 
+    def stop(self):
+        self.stopped.set()
+        for thread in self.threads:
+            thread.join()
+
     def run(self):
         while True:
             with self.lock:
-                if self.next >= self.total:
+                number, later = self.next, self.next >= self.jobs
+                pause_s = self.random.uniform(0, 2) * self.pause_s * len(self.threads)
+                if later and self.stopped.is_set():
                     return
-                number, self.next = self.next, self.next + 1
+                self.next += 1
+            if later:
+                self.stopped.wait(pause_s)
             self.submit(number)
 
     def submit(self, number):
@@ -130,23 +139,23 @@ def check_database(data, jobs):
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--binary", default="target/release/rigsmith")
-    parser.add_argument("--jobs", type=int, default=200)
+    parser.add_argument("--jobs", type=int, default=200, help="sent at once, before the first kill")
+    parser.add_argument("--pause-s", type=float, default=5, help="mean time between the requests that follow")
     parser.add_argument("--kills", type=int, default=50)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--wait-s", type=int, default=3600)
     arguments = parser.parse_args()
     data = tempfile.mkdtemp(prefix="rigsmith-kills-")
-    options = ["--queue", str(2 * arguments.jobs), "--workers", str(arguments.workers), "--log", "warn"]
+    options = ["--queue", str(10 * arguments.jobs), "--workers", str(arguments.workers), "--log", "warn"]
     service = Service(arguments.binary, os.path.join(data, "data"), os.path.join(data, "log"), options).start()
-    clients = Clients(service, arguments.jobs, arguments.jobs)
+    clients = Clients(service, arguments.jobs, arguments.pause_s, arguments.seed)
     began = time.monotonic()
     clients.start()
     ready = kill_and_restart(service, clients, arguments.kills, arguments.seed)
-    for thread in clients.threads:
-        thread.join()
-    assert len(clients.accepted) == arguments.jobs
-    assert len(set(clients.accepted.values())) == arguments.jobs, "every request has a job of its own"
+    clients.stop()
+    assert len(clients.accepted) == clients.next, "every request was answered in the end"
+    assert len(set(clients.accepted.values())) == clients.next, "every request has a job of its own"
     jobs = wait_for_all(service, clients.accepted, arguments.wait_s)
     ended = collections.Counter(
         job["state"] if job["state"] != "failed" else f"failed: {job['error']['code']}" for job in jobs.values())

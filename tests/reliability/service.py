@@ -29,8 +29,10 @@ def free_port():
 class Service:
     """`rigsmith serve` on one data folder; may be killed and started again."""
 
-    def __init__(self, binary, data, log, arguments=(), preexec=None):
-        self.binary, self.data, self.log, self.arguments, self.preexec = binary, data, log, list(arguments), preexec
+    started = []
+
+    def __init__(self, binary, data, log, arguments=()):
+        self.binary, self.data, self.log, self.arguments = binary, data, log, list(arguments)
         self.port = free_port()
         self.process = None
 
@@ -40,8 +42,8 @@ class Service:
         environment.setdefault("RIGSMITH_MODELS", os.path.join(REPOSITORY, "models/artifacts"))
         command = [self.binary, "serve", "--listen", f"127.0.0.1:{self.port}", "--data", self.data, *self.arguments]
         with open(self.log, "ab") as log:
-            self.process = subprocess.Popen(
-                command, stdout=log, stderr=log, env=environment, preexec_fn=self.preexec)
+            self.process = subprocess.Popen(command, stdout=log, stderr=log, env=environment)
+        Service.started.append(self)
         until = time.monotonic() + wait_s
         while time.monotonic() < until:
             if self.process.poll() is not None:
