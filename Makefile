@@ -84,8 +84,8 @@ export: ## write the trained networks as ONNX graphs with their manifest
 	$(PYTHON) models/export.py
 
 .PHONY: evaluate
-evaluate: ## measure the exported networks on held-out characters
-	$(PYTHON) models/evaluate.py
+evaluate: build python-packages ## measure the built program on rigs that it never saw (DATA=folder or SET=file; PUBLISH=1 writes docs/models.md)
+	$(VENV)/bin/python models/evaluate_rigs.py $(if $(DATA),--data $(DATA)) $(foreach file,$(SET),--set $(file)) $(if $(PUBLISH),--publish)
 
 # ---- what the checks stand on -----------------------------------------------------------------------------------------
 

@@ -13,6 +13,7 @@ use rigsmith::geometry::surface_samples::{SAMPLE_COUNT, SurfaceSamples};
 use rigsmith::geometry::symmetry_plane::detect_symmetry_plane;
 use rigsmith::geometry::transfer::transfer_map;
 use rigsmith::geometry::volumetric_geodesic::{Segment, volumetric_geodesic_distance};
+use rigsmith::geometry::voxel_binding::VoxelBinding;
 use rigsmith::geometry::voxel_grid::VoxelGrid;
 use rigsmith::mesh::Mesh;
 use rigsmith::mesh::adjacency::one_ring;
@@ -105,6 +106,7 @@ fn stages(criterion: &mut Criterion) {
         bench("volumetric_geodesic", &|| {
             sink(volumetric_geodesic_distance(&mesh.positions, &geodesic, &surface, &bones));
         });
+        bench("voxel_binding", &|| sink(VoxelBinding::new(mesh, &solid, &bones).distances(&mesh.positions)));
         bench("transfer", &|| sink(transfer_map(&upload, &working)));
     }
     group.finish();

@@ -1,4 +1,6 @@
-"""Judges the shipped files on validation characters, and tunes the clustering constants on them.
+"""Judges each shipped network alone on validation characters, and tunes the clustering constants on them.
+
+Whole rigs of the built program are judged by evaluate_rigs.py (`make evaluate`).
 
     python models/evaluate.py CACHE/val.npz CACHE/val2.npz                 figures into artifacts/manifest.json
     python models/evaluate.py --calibrate CACHE/val.npz CACHE/val2.npz     also picks the clustering constants
@@ -9,41 +11,21 @@ Headline: organic characters, that is all but box models. Definitions are in rig
 import argparse
 import itertools
 import json
-import time
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import onnxruntime
 
 from rigsmith_models.data import read_cache
-from rigsmith_models.evaluation import stages
+from rigsmith_models.evaluation import shipped, stages
 from rigsmith_models.evaluation.clustering import Clustering, modes_of, shifted
 from rigsmith_models.evaluation.metrics import bootstrap_interval
 
-ARTIFACTS = Path(__file__).parent / "artifacts"
-MANIFEST = ARTIFACTS / "manifest.json"
 BANDWIDTHS = (0.04, 0.05)
 DENSITIES = (0.003, 0.005, 0.007, 0.01)
 ATTENTION_POWERS = (1.0, 2.0)
 CD_WEIGHT = 2.0
 JOINT_RATIOS = (0.8, 1.2)  # predicted / reference joint count that a calibrated setting must keep
-
-
-class Network:
-    """A shipped graph as a function of its inputs by name."""
-
-    def __init__(self, path: Path):
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = 1
-        self.session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
-        self.seconds = []
-
-    def __call__(self, **inputs) -> np.ndarray:
-        started = time.process_time()
-        result = self.session.run(None, inputs)[0]
-        self.seconds.append(time.process_time() - started)
-        return result
 
 
 def summary(columns: dict[str, np.ndarray], digits: int = 4) -> dict:
@@ -79,11 +61,6 @@ def calibration_entry(settings: Clustering) -> dict[str, float]:
     }
 
 
-def clustering_of(entry: dict) -> Clustering:
-    return Clustering(entry["bandwidth"], entry["mean_shift_steps"], entry["mean_shift_step_length"], entry["attention_power"],
-                      entry["attention_min"], entry["mode_density_min"], entry["suppression_displacement"], entry["middle_max"])
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("caches", nargs="+", type=Path)
@@ -92,11 +69,11 @@ def main() -> None:
     characters = [c for path in arguments.caches for c in read_cache(path)]
     organic = [c for c in characters if c.meta["style"] != "box"]
     boxes = [c for c in characters if c.meta["style"] == "box"]
-    manifest = json.loads(MANIFEST.read_text())
-    networks = {name: Network(ARTIFACTS / entry["file"]) for name, entry in manifest["networks"].items()}
+    manifest = shipped.manifest()
+    networks = shipped.networks()
 
     predictions = stages.displaced(organic, networks["rignet_displacement"], networks["rignet_attention"])
-    settings = clustering_of(manifest["calibration"])
+    settings = shipped.clustering_of(manifest["calibration"])
     if arguments.calibrate:
         settings, grid = calibrated(organic, predictions)
         manifest["calibration"] = calibration_entry(settings)
@@ -124,7 +101,7 @@ def main() -> None:
     for name, keys in of_network.items():
         manifest["networks"][name]["validation"] = {
             "characters": {"organic": len(organic), "box": len(boxes)}, **{key: results[key] for key in keys}}
-    MANIFEST.write_text(json.dumps(manifest, indent=1) + "\n")
+    shipped.MANIFEST.write_text(json.dumps(manifest, indent=1) + "\n")
     write_ledger(results, networks, characters, settings)
     for key, figures in results.items():
         print(key, "  ".join(f"{n} {f['mean']:.4f} [{f['interval'][0]:.4f}, {f['interval'][1]:.4f}]" for n, f in figures.items()))
@@ -134,7 +111,7 @@ LEDGER = Path(__file__).parent / "TRAINING.md"
 LEDGER_MARKS = ("<!-- figures of evaluate.py -->", "<!-- end of figures -->")
 
 
-def write_ledger(results: dict, networks: dict[str, Network], characters: list, settings: Clustering) -> None:
+def write_ledger(results: dict, networks: dict[str, shipped.Network], characters: list, settings: Clustering) -> None:
     """Puts every figure as a table between two marks of TRAINING.md."""
     lines = ["| stage | figure | mean | 95% of the mean |", "|---|---|---|---|"]
     for stage, figures in results.items():

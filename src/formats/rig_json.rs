@@ -15,7 +15,7 @@ use crate::rig::{Influence, Joint, Rig, Skeleton, SkinWeights};
 use glam::DVec3;
 use serde::ser::Serializer;
 use serde::{Deserialize, Serialize};
-use serde_json::Value;
+use serde_json::{Value, json};
 use std::collections::BTreeSet;
 
 pub const FORMAT: &str = "rigsmith.rig/1";
@@ -136,6 +136,13 @@ pub fn write(asset: &Asset, rig: &Rig, names: JointNames, method: &str, report: 
         report,
     };
     serde_json::to_vec(&written).expect("plain data always serializes")
+}
+
+/// A skeleton alone, in the same layout: what [`read`] needs to give it back.
+pub fn skeleton_json(skeleton: &Skeleton) -> Value {
+    let joint =
+        |joint: &Joint| json!({ "name": joint.name, "parent": joint.parent, "position": joint.position.to_array() });
+    json!({ "format": FORMAT, "joints": skeleton.joints.iter().map(joint).collect::<Vec<_>>() })
 }
 
 #[derive(Deserialize)]

@@ -15,8 +15,9 @@
 //!   reached; theirs leaves such parts unweighted.
 //! - Every way is as long as the shortest path over cell centres (theirs too), but never shorter than the straight line.
 
+use super::solid_cells::SolidCells;
 use super::volumetric_geodesic::{Segment, nearest_on_segment};
-use super::voxel_grid::{RESOLUTION, VoxelGrid, surface_cells};
+use super::voxel_grid::VoxelGrid;
 use crate::mesh::Mesh;
 use glam::DVec3;
 use rayon::prelude::*;
@@ -24,13 +25,7 @@ use std::collections::BTreeMap;
 
 /// The cells of a solid, and where every bone begins in them. Lengths are in cells.
 pub struct VoxelBinding {
-    origin: DVec3,
-    /// Cells per unit of the normalised frame.
-    scale: f64,
-    /// Number among the occupied cells, or [`EMPTY`]. `[88³]`
-    number: Vec<u32>,
-    /// Places of the occupied cells, ascending.
-    cells: Vec<[u8; 3]>,
+    cells: SolidCells,
     /// Straight ways between parts, by the cell that they leave from.
     bridges: BTreeMap<u32, Vec<(u32, f32)>>,
     /// In cell coordinates.
@@ -46,9 +41,7 @@ struct Begin {
     cells: Vec<(u32, f32)>,
 }
 
-const EMPTY: u32 = u32::MAX;
-const CELLS: usize = RESOLUTION * RESOLUTION * RESOLUTION;
-/// Two samples per cell find every cell that a bone passes for more than half a side.
+/// Finds every cell that a bone passes for more than a quarter of a side.
 const SAMPLES_PER_CELL: f64 = 4.0;
 /// A bone longer than this (a few times the grid) is sampled more thinly; its cells are then found as the nearest.
 const SAMPLES_MAX: usize = 4_096;
@@ -58,23 +51,12 @@ const NEAREST_BAND: f64 = 1.75;
 impl VoxelBinding {
     /// `solid` is that of `mesh`.
     pub fn new(mesh: &Mesh, solid: &VoxelGrid, bones: &[Segment]) -> Self {
-        let scale = RESOLUTION as f64 / solid.side;
-        let to_cells = |point: DVec3| (point - solid.origin) * scale;
-        let positions = mesh.positions.iter().map(|&position| to_cells(position)).collect();
-        let surface = surface_cells(&Mesh { positions, triangles: mesh.triangles.clone() });
-        let mut number = vec![EMPTY; CELLS];
-        let mut cells = Vec::new();
-        for (index, number) in number.iter_mut().enumerate().filter(|&(index, _)| surface[index] || solid.inside[index])
-        {
-            *number = cells.len() as u32;
-            cells.push(place_of(index));
-        }
-        let bones: Vec<Segment> = bones.iter().map(|&(start, end)| (to_cells(start), to_cells(end))).collect();
-        let mut binding =
-            Self { origin: solid.origin, scale, number, cells, bridges: BTreeMap::new(), bones, begin: Vec::new() };
-        binding.begin = binding.bones.par_iter().map(|&bone| binding.begin_of(bone)).collect();
-        binding.bridges = binding.bridges_to_unreached_parts();
-        binding
+        let cells = SolidCells::new(mesh, solid);
+        let bones: Vec<Segment> =
+            bones.iter().map(|&(start, end)| (cells.to_cells(start), cells.to_cells(end))).collect();
+        let begin: Vec<Begin> = bones.par_iter().map(|&bone| Begin::of(bone, &cells)).collect();
+        let bridges = bridges_to_unreached_parts(&cells, &begin);
+        Self { cells, bridges, bones, begin }
     }
 
     /// How far each vertex is from each bone, `[V, B]`.
@@ -82,8 +64,8 @@ impl VoxelBinding {
         let around: Vec<(DVec3, Vec<(u32, f32)>)> = vertices
             .par_iter()
             .map(|&vertex| {
-                let vertex = (vertex - self.origin) * self.scale;
-                (vertex, self.cells_around(vertex))
+                let vertex = self.cells.to_cells(vertex);
+                (vertex, self.cells.around(vertex))
             })
             .collect();
         let columns: Vec<Vec<f32>> = (0..self.bones.len())
@@ -94,7 +76,7 @@ impl VoxelBinding {
                     let best = around.iter().map(|&(cell, rest)| through[cell as usize] + rest);
                     let best = self.begin[bone].offset + f64::from(best.fold(f32::INFINITY, f32::min));
                     let straight = vertex.distance(nearest_on_segment(*vertex, self.bones[bone]));
-                    (best.max(straight) / self.scale) as f32
+                    (best.max(straight) / self.cells.scale) as f32
                 };
                 around.iter().map(way).collect()
             })
@@ -102,57 +84,12 @@ impl VoxelBinding {
         (0..vertices.len()).flat_map(|vertex| columns.iter().map(move |column| column[vertex])).collect()
     }
 
-    fn centre(&self, cell: u32) -> DVec3 {
-        centre(self.cells[cell as usize])
-    }
-
-    /// The occupied cells that a bone passes; where there are none, those nearest to it.
-    fn begin_of(&self, bone: Segment) -> Begin {
-        let (start, end) = bone;
-        let distance = |cell: u32| {
-            let centre = self.centre(cell);
-            centre.distance(nearest_on_segment(centre, bone))
-        };
-        let steps = ((start.distance(end) * SAMPLES_PER_CELL).ceil().max(1.0) as usize).min(SAMPLES_MAX);
-        let samples = (0..=steps).map(|step| start.lerp(end, step as f64 / steps as f64));
-        let mut passed: Vec<u32> = samples.filter_map(|sample| self.number_at(sample.floor())).collect();
-        passed.sort_unstable();
-        passed.dedup();
-        if passed.is_empty() {
-            let nearest = (0..self.cells.len() as u32).map(distance).fold(f64::INFINITY, f64::min);
-            passed = (0..self.cells.len() as u32).filter(|&cell| distance(cell) <= nearest + NEAREST_BAND).collect();
-        }
-        let offset = passed.iter().map(|&cell| distance(cell)).fold(f64::INFINITY, f64::min);
-        Begin { offset, cells: passed.into_iter().map(|cell| (cell, (distance(cell) - offset) as f32)).collect() }
-    }
-
-    /// The number of the cell at a whole-numbered place, if it is occupied.
-    fn number_at(&self, place: DVec3) -> Option<u32> {
-        let inside = place.cmpge(DVec3::ZERO).all() && place.cmplt(DVec3::splat(RESOLUTION as f64)).all();
-        let [x, y, z] = place.to_array().map(|at| at as usize);
-        inside.then(|| self.number[(x * RESOLUTION + y) * RESOLUTION + z]).filter(|&number| number != EMPTY)
-    }
-
-    /// The occupied cells at and around a point, each with its distance to it; where there are none, the nearest cell.
-    fn cells_around(&self, point: DVec3) -> Vec<(u32, f32)> {
-        let last = DVec3::splat(RESOLUTION as f64 - 1.0);
-        let here = point.floor().clamp(DVec3::ZERO, last);
-        let offsets = OFFSETS.iter().copied().chain([[0, 0, 0]]);
-        let near = offsets.filter_map(|offset| self.number_at(here + DVec3::from(offset.map(f64::from))));
-        let mut cells: Vec<(u32, f32)> = near.map(|cell| (cell, self.centre(cell).distance(point) as f32)).collect();
-        if cells.is_empty() {
-            let all = (0..self.cells.len() as u32).map(|cell| (cell, self.centre(cell).distance(point) as f32));
-            cells.extend(all.min_by(|a, b| a.1.total_cmp(&b.1)));
-        }
-        cells
-    }
-
     /// Shortest way to every occupied cell from those in `begin`, in cells. `[C]`
     ///
     /// Dijkstra's algorithm with one bucket per unit of length [Dial 1969]: no step is shorter than a bucket is wide, so all
     /// that stands in a bucket when its turn comes is final, in any order.
     fn ways_from(&self, begin: &[(u32, f32)]) -> Vec<f32> {
-        let mut way = vec![f32::INFINITY; self.cells.len()];
+        let mut way = vec![f32::INFINITY; self.cells.count() as usize];
         let mut buckets: Vec<Vec<(u32, f32)>> = Vec::new();
         for &(cell, distance) in begin {
             put(&mut buckets, &mut way, cell, distance);
@@ -164,7 +101,7 @@ impl VoxelBinding {
                 if distance > way[cell as usize] {
                     continue;
                 }
-                self.neighbours(cell, |other, length| put(&mut buckets, &mut way, other, distance + length));
+                self.cells.neighbours(cell, |other, length| put(&mut buckets, &mut way, other, distance + length));
                 for &(other, length) in self.bridges.get(&cell).into_iter().flatten() {
                     put(&mut buckets, &mut way, other, distance + length);
                 }
@@ -173,105 +110,55 @@ impl VoxelBinding {
         }
         way
     }
+}
 
-    /// Calls `visit` with the occupied cells around `cell` and how far their centres are.
-    fn neighbours(&self, cell: u32, mut visit: impl FnMut(u32, f32)) {
-        let place = self.cells[cell as usize].map(i32::from);
-        for (offset, length) in OFFSETS.iter().zip(OFFSET_LENGTHS) {
-            let at: [i32; 3] = std::array::from_fn(|axis| place[axis] + i32::from(offset[axis]));
-            if at.iter().all(|&at| (0..RESOLUTION as i32).contains(&at)) {
-                let other = self.number[index_of(at.map(|at| at as usize))];
-                if other != EMPTY {
-                    visit(other, length);
-                }
-            }
+impl Begin {
+    /// The occupied cells that a bone passes; where there are none, those nearest to it.
+    fn of(bone: Segment, cells: &SolidCells) -> Self {
+        let (start, end) = bone;
+        let distance = |cell: u32| {
+            let centre = cells.centre(cell);
+            centre.distance(nearest_on_segment(centre, bone))
+        };
+        let steps = ((start.distance(end) * SAMPLES_PER_CELL).ceil().max(1.0) as usize).min(SAMPLES_MAX);
+        let samples = (0..=steps).map(|step| start.lerp(end, step as f64 / steps as f64));
+        let mut passed: Vec<u32> = samples.filter_map(|sample| cells.number_at(sample.floor())).collect();
+        passed.sort_unstable();
+        passed.dedup();
+        if passed.is_empty() {
+            let nearest = (0..cells.count()).map(distance).fold(f64::INFINITY, f64::min);
+            passed = (0..cells.count()).filter(|&cell| distance(cell) <= nearest + NEAREST_BAND).collect();
+        }
+        let offset = passed.iter().map(|&cell| distance(cell)).fold(f64::INFINITY, f64::min);
+        Self { offset, cells: passed.into_iter().map(|cell| (cell, (distance(cell) - offset) as f32)).collect() }
+    }
+}
+
+/// Straight ways, in both directions, that join every part without a bone to the others: a minimum spanning tree of
+/// parts [Kruskal 1956], where all parts with a bone are one to begin with.
+fn bridges_to_unreached_parts(cells: &SolidCells, begin: &[Begin]) -> BTreeMap<u32, Vec<(u32, f32)>> {
+    let (part, count) = cells.parts();
+    let mut joined: Vec<usize> = (0..count).collect();
+    let mut anchor = None;
+    for &(cell, _) in begin.iter().flat_map(|begin| &begin.cells) {
+        let reached = part[cell as usize] as usize;
+        joined[reached] = *anchor.get_or_insert(reached);
+    }
+    let mut bridges: BTreeMap<u32, Vec<(u32, f32)>> = BTreeMap::new();
+    if (0..count).all(|part| Some(joined[part]) == anchor) {
+        return bridges;
+    }
+    let mut gaps: Vec<(f32, u32, u32)> = cells.gaps(&part).into_values().collect();
+    gaps.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then((a.1, a.2).cmp(&(b.1, b.2))));
+    for (length, one, other) in gaps {
+        let (a, b) = (joined[part[one as usize] as usize], joined[part[other as usize] as usize]);
+        if a != b {
+            joined.iter_mut().filter(|group| **group == b).for_each(|group| *group = a);
+            bridges.entry(one).or_default().push((other, length));
+            bridges.entry(other).or_default().push((one, length));
         }
     }
-
-    /// Which connected part each occupied cell belongs to, and how many there are.
-    fn parts(&self) -> (Vec<u32>, usize) {
-        let mut part = vec![EMPTY; self.cells.len()];
-        let mut count = 0;
-        let mut work = Vec::new();
-        for first in 0..self.cells.len() as u32 {
-            if part[first as usize] != EMPTY {
-                continue;
-            }
-            part[first as usize] = count;
-            work.push(first);
-            // Each cell enters the list once.
-            while let Some(cell) = work.pop() {
-                self.neighbours(cell, |other, _| {
-                    if part[other as usize] == EMPTY {
-                        part[other as usize] = count;
-                        work.push(other);
-                    }
-                });
-            }
-            count += 1;
-        }
-        (part, count as usize)
-    }
-
-    /// Straight ways, in both directions, that join every part without a bone to the others: a minimum spanning tree of
-    /// parts [Kruskal 1956], where all parts with a bone are one to begin with.
-    fn bridges_to_unreached_parts(&self) -> BTreeMap<u32, Vec<(u32, f32)>> {
-        let (part, count) = self.parts();
-        let mut joined: Vec<usize> = (0..count).collect();
-        let mut anchor = None;
-        for &(cell, _) in self.begin.iter().flat_map(|begin| &begin.cells) {
-            let reached = part[cell as usize] as usize;
-            joined[reached] = *anchor.get_or_insert(reached);
-        }
-        let mut bridges: BTreeMap<u32, Vec<(u32, f32)>> = BTreeMap::new();
-        if (0..count).all(|part| Some(joined[part]) == anchor) {
-            return bridges;
-        }
-        let mut gaps: Vec<(f32, u32, u32)> = self.gaps(&part).into_values().collect();
-        gaps.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then((a.1, a.2).cmp(&(b.1, b.2))));
-        for (length, one, other) in gaps {
-            let (a, b) = (joined[part[one as usize] as usize], joined[part[other as usize] as usize]);
-            if a != b {
-                joined.iter_mut().filter(|group| **group == b).for_each(|group| *group = a);
-                bridges.entry(one).or_default().push((other, length));
-                bridges.entry(other).or_default().push((one, length));
-            }
-        }
-        bridges
-    }
-
-    /// The narrowest gap between each pair of parts that face each other: length and the two cells. Found by growing all
-    /// parts into the empty cells at once, each empty cell keeping the occupied cell that it was reached from.
-    fn gaps(&self, part: &[u32]) -> BTreeMap<(u32, u32), (f32, u32, u32)> {
-        let mut source = self.number.clone();
-        let mut front: Vec<usize> = (0..CELLS).filter(|&index| source[index] != EMPTY).collect();
-        let mut gaps: BTreeMap<(u32, u32), (f32, u32, u32)> = BTreeMap::new();
-        // Each cell of the grid stands in one front.
-        while !front.is_empty() {
-            let mut next = Vec::new();
-            for index in front {
-                let own = source[index];
-                for step in faces_of(index) {
-                    if source[step] == EMPTY {
-                        source[step] = own;
-                        next.push(step);
-                        continue;
-                    }
-                    let (one, other) = (own.min(source[step]), own.max(source[step]));
-                    let (a, b) = (part[one as usize], part[other as usize]);
-                    if a != b {
-                        let length = self.centre(one).distance(self.centre(other)) as f32;
-                        let known = gaps.entry((a.min(b), a.max(b))).or_insert((length, one, other));
-                        if (length, one, other) < *known {
-                            *known = (length, one, other);
-                        }
-                    }
-                }
-            }
-            front = next;
-        }
-        gaps
-    }
+    bridges
 }
 
 /// Shortens the way to a cell and puts it into its bucket, if `distance` is shorter than what is known.
@@ -286,64 +173,10 @@ fn put(buckets: &mut Vec<Vec<(u32, f32)>>, way: &mut [f32], cell: u32, distance:
     }
 }
 
-/// The 26 cells around one.
-const OFFSETS: [[i8; 3]; 26] = offsets();
-const OFFSET_LENGTHS: [f32; 26] = offset_lengths();
-
-const fn offsets() -> [[i8; 3]; 26] {
-    let mut all = [[0; 3]; 26];
-    let (mut index, mut code) = (0, 0);
-    while code < 27 {
-        if code != 13 {
-            all[index] = [code / 9 - 1, code / 3 % 3 - 1, code % 3 - 1];
-            index += 1;
-        }
-        code += 1;
-    }
-    all
-}
-
-const fn offset_lengths() -> [f32; 26] {
-    let mut lengths = [0.0; 26];
-    let mut index = 0;
-    while index < 26 {
-        let [x, y, z] = OFFSETS[index];
-        lengths[index] = [0.0, 1.0, std::f32::consts::SQRT_2, 1.732_050_8][(x * x + y * y + z * z) as usize];
-        index += 1;
-    }
-    lengths
-}
-
-fn index_of([x, y, z]: [usize; 3]) -> usize {
-    (x * RESOLUTION + y) * RESOLUTION + z
-}
-
-fn place_of(index: usize) -> [u8; 3] {
-    [index / (RESOLUTION * RESOLUTION), index / RESOLUTION % RESOLUTION, index % RESOLUTION].map(|at| at as u8)
-}
-
-fn centre(place: [u8; 3]) -> DVec3 {
-    DVec3::from(place.map(f64::from)) + 0.5
-}
-
-/// The up to six cells that share a face with a cell of the grid.
-fn faces_of(index: usize) -> impl Iterator<Item = usize> {
-    let place = place_of(index).map(usize::from);
-    (0..3).flat_map(move |axis| {
-        let moved = |at: usize| {
-            let mut place = place;
-            place[axis] = at;
-            index_of(place)
-        };
-        let below = place[axis].checked_sub(1).map(moved);
-        let above = Some(place[axis] + 1).filter(|&at| at < RESOLUTION).map(moved);
-        below.into_iter().chain(above)
-    })
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::geometry::voxel_grid::RESOLUTION;
     use crate::mesh::test_shapes::{degenerate, joined, sphere, tube};
     use proptest::prelude::*;
 
@@ -434,14 +267,14 @@ mod tests {
             let bone = (DVec3::new(bone[0], bone[1], bone[2]), DVec3::new(bone[3], bone[4], bone[5]));
             let binding = VoxelBinding::new(&mesh, &VoxelGrid::solid(&mesh), &[bone]);
             let ways = binding.ways_from(&binding.begin[0].cells);
-            let mut plain = vec![f32::INFINITY; binding.cells.len()];
+            let mut plain = vec![f32::INFINITY; binding.cells.count() as usize];
             binding.begin[0].cells.iter().for_each(|&(cell, distance)| plain[cell as usize] = distance);
             loop {
                 let before = plain.clone();
-                for cell in 0..binding.cells.len() as u32 {
+                for cell in 0..binding.cells.count() {
                     let here = plain[cell as usize];
                     let mut best: Vec<(u32, f32)> = Vec::new();
-                    binding.neighbours(cell, |other, length| best.push((other, here + length)));
+                    binding.cells.neighbours(cell, |other, length| best.push((other, here + length)));
                     best.extend(binding.bridges.get(&cell).into_iter().flatten().map(|&(to, length)| (to, here + length)));
                     for (other, distance) in best {
                         plain[other as usize] = plain[other as usize].min(distance);

@@ -58,6 +58,14 @@ impl VoxelGrid {
         let [x, y, z] = cell.to_array().map(|index| index as usize);
         self.inside.get((x * RESOLUTION + y) * RESOLUTION + z).copied().unwrap_or(false)
     }
+
+    /// The last point inside on the way from `from` along the unit vector `direction`; `from` itself if it is outside.
+    pub fn last_inside(&self, from: DVec3, direction: DVec3) -> DVec3 {
+        let step = self.side / (2 * RESOLUTION) as f64;
+        // No way through the cube is longer than its diagonal, 1.74 sides.
+        let ways = (0..4 * RESOLUTION).map(|count| from + direction * (step * count as f64));
+        ways.take_while(|&point| self.contains(point)).last().unwrap_or(from)
+    }
 }
 
 /// What the lines along one axis say.
@@ -272,6 +280,15 @@ mod tests {
             let share = filled(&mesh, volume(&mesh));
             assert!((share - 1.0).abs() < 0.02, "{share}");
         }
+    }
+
+    #[test]
+    fn the_way_inside_ends_at_the_surface() {
+        let grid = VoxelGrid::solid(&sphere(DVec3::ZERO, 0.5, 40));
+        let end = grid.last_inside(DVec3::Y * 0.1, DVec3::Y);
+        assert!((0.47..0.5).contains(&end.y) && end.x == 0.0, "{end}");
+        assert_eq!(grid.last_inside(DVec3::Y * 0.6, DVec3::Y), DVec3::Y * 0.6);
+        assert_eq!(grid.last_inside(DVec3::ZERO, DVec3::ZERO), DVec3::ZERO);
     }
 
     #[test]

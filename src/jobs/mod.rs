@@ -33,6 +33,7 @@ pub mod asset;
 pub mod clock;
 mod core;
 pub mod cores;
+mod counted;
 mod engine;
 pub mod event;
 pub mod failure;
@@ -65,7 +66,7 @@ pub use ids::{AssetId, JobId, NotAnId};
 pub use job::{ArtifactInfo, FileInfo, Job, JobRequest, JobResult, JobState, Notice};
 pub use options::{
     DEFAULT_DETAIL, DEFAULT_MAX_INFLUENCES, ExistingRigPolicy, FieldError, FieldProblem, LevelOfDetail, OptionsReader,
-    Output, RigOptions, SkinMethod, Symmetry,
+    Output, RigOptions, Skeleton, SkinMethod, Symmetry,
 };
 pub use page::{NoPage, Page};
 pub use perform::{

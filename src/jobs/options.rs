@@ -1,10 +1,9 @@
 //! What a caller may ask for. One reader serves the command line, query parameters, form fields and JSON, so a field
 //! has one name, one range and one message everywhere.
 
-use crate::formats::Axis;
 pub use crate::formats::ExistingRigPolicy;
-pub use crate::pipelines::{LevelOfDetail, SkinMethod, Symmetry};
-use crate::rig::Skeleton;
+use crate::formats::{Axis, rig_json};
+pub use crate::pipelines::{LevelOfDetail, Skeleton, SkinMethod, Symmetry};
 use serde_json::Value;
 use std::fmt;
 use std::ops::RangeInclusive;
@@ -26,8 +25,7 @@ pub struct RigOptions {
     pub symmetry: Symmetry,
     /// What weighs the vertices; `None`: the service chooses.
     pub skin_method: Option<SkinMethod>,
-    /// A skeleton in upload space to make weights for, instead of making one; see [`super::read_skeleton`]. It stays as it is.
-    /// Not a field of [`OptionsReader`]: it comes as a file of its own.
+    /// A skeleton in upload space to make weights for, instead of making one. It stays as it is.
     pub skeleton: Option<Arc<Skeleton>>,
     /// Joints per vertex at most.
     pub max_influences: usize,
@@ -70,6 +68,8 @@ impl RigOptions {
             "detail": detail,
             "bandwidth": bandwidth,
             "symmetry": self.symmetry.name(),
+            "skin_method": skin_method_name(self.skin_method),
+            "skeleton": self.skeleton.as_deref().map(rig_json::skeleton_json),
             "max_influences": self.max_influences,
             "seed": self.seed,
             "up": axis_name(self.up),
@@ -242,6 +242,7 @@ impl OptionsReader {
         "bandwidth",
         "symmetry",
         "skin_method",
+        "skeleton",
         "max_influences",
         "seed",
         "up",
@@ -306,6 +307,7 @@ impl OptionsReader {
             "bandwidth" => options.level_of_detail = LevelOfDetail::Bandwidth(number(raw, BANDWIDTH)?),
             "symmetry" => options.symmetry = word(raw)?,
             "skin_method" => options.skin_method = word(raw)?,
+            "skeleton" => options.skeleton = Some(skeleton(raw)?),
             "max_influences" => options.max_influences = whole(raw, MAX_INFLUENCES)? as usize,
             "seed" => options.seed = whole(raw, 0..=u64::MAX)?,
             "up" => options.up = axis(raw)?,
@@ -362,6 +364,14 @@ fn word<W: Words>(raw: Raw) -> Result<W, String> {
     W::parse(text(raw)?).ok_or_else(|| format!("{raw} is not one of {}", W::choices()))
 }
 
+fn skeleton(raw: Raw) -> Result<Arc<Skeleton>, String> {
+    let read = match raw {
+        Raw::Text(text) => rig_json::read(text.as_bytes()),
+        Raw::Json(value) => rig_json::read(value.to_string().as_bytes()),
+    };
+    read.map(|file| Arc::new(file.skeleton)).map_err(|error| format!("{error}; {}", error.hint()))
+}
+
 fn method(raw: Raw) -> Result<Option<String>, String> {
     match text(raw)? {
         "auto" => Ok(None),
@@ -415,11 +425,14 @@ mod tests {
 
     #[test]
     fn every_field_is_read_from_text_and_from_json() {
+        let joints = json!([{ "name": "hips", "parent": null, "position": [0.5, 1.0, -0.25] }]);
+        let file = json!({ "format": rig_json::FORMAT, "joints": joints });
         let fields = [
             ("method", "rignet", json!("rignet")),
             ("detail", "0.75", json!(0.75)),
             ("symmetry", "off", json!("off")),
             ("skin_method", "geodesic_voxel", json!("geodesic_voxel")),
+            ("skeleton", &file.to_string(), file.clone()),
             ("max_influences", "8", json!(8)),
             ("seed", "18446744073709551615", json!(u64::MAX)),
             ("up", "z", json!("+z")),
@@ -437,7 +450,7 @@ mod tests {
             level_of_detail: LevelOfDetail::Detail(0.75),
             symmetry: Symmetry::Off,
             skin_method: Some(SkinMethod::GeodesicVoxel),
-            skeleton: None,
+            skeleton: Some(Arc::new(rig_json::read(file.to_string().as_bytes()).expect("reads").skeleton)),
             max_influences: 8,
             seed: u64::MAX,
             up: Some(Axis::PosZ),
@@ -475,6 +488,8 @@ mod tests {
             ("max_influences", json!(4.5), "4.5 is not a whole number from 1 to 8"),
             ("seed", json!(-1), "-1 is not a whole number"),
             ("symmetry", json!("maybe"), "\"maybe\" is not one of auto, on, off"),
+            ("skin_method", json!("heat"), "\"heat\" is not one of auto, rignet, geodesic_voxel"),
+            ("skeleton", json!({ "format": "rigsmith.rig/1", "joints": [] }), "no joints"),
             ("outputs", json!([]), "is empty"),
             ("outputs", json!("glb"), "is not a list"),
             ("colour", json!("red"), "no such field"),

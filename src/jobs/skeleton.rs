@@ -2,7 +2,7 @@
 
 use super::failure::{ErrorCode, JobError};
 use crate::formats::rig_json::{self, RigFileError};
-use crate::rig::Skeleton;
+use crate::pipelines::Skeleton;
 use std::sync::Arc;
 
 /// Reads the skeleton of a `rigsmith.rig/1` file for [`super::RigOptions::skeleton`]. Weights and report are not looked at

@@ -13,7 +13,7 @@ use crate::mesh::Mesh;
 pub use crate::nets::{LoadOptions, Models, NetError};
 use crate::rig::detect_joints::DetectJointsError;
 pub use crate::rig::detect_joints::Fineness as LevelOfDetail;
-use crate::rig::{Rig, Skeleton};
+pub use crate::rig::{Rig, Skeleton};
 use glam::{DMat3, DVec3};
 
 /// A published way to make a rig.

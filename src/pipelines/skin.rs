@@ -106,7 +106,7 @@ pub(super) fn weigh(
     let segments: Vec<Segment> = bones.iter().map(|bone| (bone.start, bone.end)).collect();
     let (weights, nearest) = match weigher {
         Weigher::RigNet { nets, graph } => by_network(shape, graph, nets, &bones, &segments, watch)?,
-        Weigher::GeodesicVoxel => by_voxels(shape, &bones, &segments, watch)?,
+        Weigher::GeodesicVoxel => by_voxels(shape, skeleton, &bones, watch)?,
     };
     Ok(SkinWeights::from_bones(&weights, &bones, &nearest, max_influences))
 }
@@ -139,17 +139,27 @@ fn by_network(
 /// Distances through voxels, and their falloff. Second: the nearest bones `[V, K]`.
 fn by_voxels(
     shape: &Shape,
+    skeleton: &Skeleton,
     bones: &[Bone],
-    segments: &[Segment],
     watch: Watch,
 ) -> Result<(BoneWeights, Vec<u32>), RigError> {
-    let binding = VoxelBinding::new(&shape.mesh, &shape.solid, segments);
+    let segments: Vec<Segment> = bones.iter().map(|bone| (bone.start, reach_of(bone, skeleton, shape))).collect();
+    let binding = VoxelBinding::new(&shape.mesh, &shape.solid, &segments);
     watch.cancellation.check()?;
     let distances = binding.distances(&shape.mesh.positions);
     watch.cancellation.check()?;
     let weights = falloff_weights(&distances, bones, &FALLOFF);
     let weights = smoothed(weights, shape, VOXEL_SMOOTHINGS).pruned(VOXEL_TRACE_SHARE);
     Ok((weights, bone_features(&distances, bones).nearest))
+}
+
+/// Where a bone ends. A leaf bone goes on along the bone before it until it leaves the solid: what lies beyond a hand's or a
+/// head's joint follows that joint, although the bone that ends there is as near.
+fn reach_of(bone: &Bone, skeleton: &Skeleton, shape: &Shape) -> DVec3 {
+    let parent = skeleton.joints[bone.start_joint].parent.filter(|_| bone.is_leaf());
+    let Some(parent) = parent else { return bone.end };
+    let along = (bone.start - skeleton.joints[parent].position).normalize_or_zero();
+    shape.solid.last_inside(bone.start, along)
 }
 
 fn smoothed(mut weights: BoneWeights, shape: &Shape, times: usize) -> BoneWeights {

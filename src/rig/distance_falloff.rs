@@ -23,10 +23,14 @@ pub struct Falloff {
     pub exponent: f64,
 }
 
-/// What rigs are made with.
-pub const FALLOFF: Falloff = Falloff { quadratic_share: 0.2, exponent: 4.0 };
-/// How often the falloff's rows are smoothed over the one-ring ...
-pub const VOXEL_SMOOTHINGS: usize = 2;
+/// What rigs are made with, together with the two constants below.
+///
+/// On 76 training rigs with their own skeletons, organic / box: mean L1 .60 / .80, precision .74 / .45, recall .80 / .91. Exponent 2
+/// (the paper's) with the same smoothing: .84 / 1.1; 6: .64 / .88; 20 and 30: the same within .01 with less recall. λ of 0 and .5
+/// change L1 by less than .01. Leaf bones went on to the surface.
+pub const FALLOFF: Falloff = Falloff { quadratic_share: 0.2, exponent: 14.0 };
+/// How often the falloff's rows are smoothed over the one-ring: exponents that artists' weights ask for leave ragged edges ...
+pub const VOXEL_SMOOTHINGS: usize = 4;
 /// ... and what is dropped then, as a share of a row's greatest.
 pub const VOXEL_TRACE_SHARE: f32 = 0.1;
 

@@ -2,8 +2,14 @@
 
 #[path = "http/artifacts.rs"]
 mod artifacts;
+#[path = "http/assets.rs"]
+mod assets;
 #[path = "http/callers.rs"]
 mod callers;
+#[path = "http/events.rs"]
+mod events;
+#[path = "http/examples.rs"]
+mod examples;
 #[path = "http/jobs.rs"]
 mod jobs;
 #[path = "http/refusals.rs"]

@@ -119,8 +119,25 @@ def skin_agreement(predicted: np.ndarray, reference: np.ndarray) -> tuple[float,
     return float(both / max(ours.sum(), 1)), float(both / max(theirs.sum(), 1)), float(l1)
 
 
+def mirror_error(joints: np.ndarray, normal: np.ndarray, point: np.ndarray) -> float:
+    """Mean distance from each joint's image in the plane (unit normal, one point of it) to the nearest joint. (J, 3)"""
+    images = joints - 2 * ((joints - point) @ normal)[:, None] * normal
+    return float(cdist(images, joints).min(1).mean())
+
+
 def bootstrap_interval(values: np.ndarray, seed: int = 0, draws: int = 2000) -> tuple[float, float]:
-    """95% interval of the mean over characters, by resampling them. (N,) -> (low, high)."""
+    """95% interval of the mean over characters, by resampling them. (N,) -> (low, high).
+
+    Of paired differences it is the interval of the mean difference.
+    """
+    return resampled_interval(values, np.mean, seed, draws)
+
+
+def bootstrap_interval_of_median(values: np.ndarray, seed: int = 0, draws: int = 2000) -> tuple[float, float]:
+    return resampled_interval(values, np.median, seed, draws)
+
+
+def resampled_interval(values: np.ndarray, statistic, seed: int, draws: int) -> tuple[float, float]:
     rng = np.random.default_rng(seed)
-    means = values[rng.integers(0, len(values), (draws, len(values)))].mean(1)
-    return float(np.percentile(means, 2.5)), float(np.percentile(means, 97.5))
+    drawn = statistic(values[rng.integers(0, len(values), (draws, len(values)))], axis=1)
+    return float(np.percentile(drawn, 2.5)), float(np.percentile(drawn, 97.5))

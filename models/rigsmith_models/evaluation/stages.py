@@ -11,8 +11,9 @@ import numpy as np
 from ..data.bones import bone_features, candidate_pairs, is_bone, nearest_bones, weights_of_nearest_bones
 from ..data.character import Character
 from . import metrics
+from .baselines import central_joint, shortest_tree
 from .clustering import Clustering, joints_of
-from .skeleton import cost_matrix, minimum_spanning_tree
+from .skeleton import cost_matrix, minimum_spanning_tree, outside_samples
 
 BALL_MAX = 10  # as in the service
 BONES_PER_VERTEX = 5
@@ -93,10 +94,9 @@ def bone_stage(characters, bone: Network) -> dict[str, np.ndarray]:
         features = np.stack([length, character.inside_share], axis=1).astype(np.float32)
         logit = bone(**shape_inputs(character), joints=joints, pairs=pairs.astype(np.int64), pair_features=features)
         root = int(np.flatnonzero(parents < 0)[0])
-        ours = minimum_spanning_tree(cost_matrix(len(joints), pairs, logit), root)
-        distance = np.full((len(joints), len(joints)), np.inf)
-        distance[pairs[:, 0], pairs[:, 1]] = distance[pairs[:, 1], pairs[:, 0]] = length
-        nearest = minimum_spanning_tree(distance, root)
+        outside = outside_samples(length, character.inside_share)
+        ours = minimum_spanning_tree(cost_matrix(len(joints), pairs, logit, outside), root)
+        nearest = shortest_tree(joints, root)
         truth = is_bone(parents, pairs)
         rows.append({
             "edit_distance": metrics.tree_edit_distance(joints, ours, joints, parents),
@@ -113,7 +113,7 @@ def root_stage(characters, root: Network) -> dict[str, np.ndarray]:
     for character in characters:
         truth = int(np.flatnonzero(character.parents < 0)[0])
         ours = int(root(**shape_inputs(character), joints=character.joints).argmax())
-        nearest = int(np.linalg.norm(character.joints - character.joints.mean(0), axis=1).argmin())
+        nearest = central_joint(character.joints)
         distance = np.linalg.norm(character.joints[ours] - character.joints[truth])
         rows.append({"accuracy": float(ours == truth), "accuracy_baseline": float(nearest == truth), "distance": distance})
     return columns(rows)

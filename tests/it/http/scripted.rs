@@ -195,9 +195,9 @@ impl Service {
         self.send(request("GET", path, &[], "")).await
     }
 
-    /// Posts a script as the mesh.
+    /// Posts a script as the mesh, to be worked on even if an equal one was.
     pub async fn rig(&self, query: &str, headers: &[(&str, &str)], script: &str) -> Answer {
-        let mut fields = vec![("content-type", "model/obj")];
+        let mut fields = vec![("content-type", "model/obj"), ("cache-control", "no-cache")];
         fields.extend(headers);
         self.send(request("POST", &format!("/v1/rigs{query}"), &fields, script)).await
     }
