@@ -14,6 +14,7 @@ pub use crate::nets::{LoadOptions, Models, NetError};
 use crate::rig::detect_joints::DetectJointsError;
 pub use crate::rig::detect_joints::Fineness as LevelOfDetail;
 pub use crate::rig::{Rig, Skeleton};
+pub use crate::rig::verdict::{Quality, Verdict};
 use glam::{DMat3, DVec3};
 
 /// A published way to make a rig.
@@ -175,6 +176,8 @@ pub struct Facts {
     pub joints_far_outside: Vec<usize>,
     /// Vertices that no bone's weights reached; they follow the nearest bone.
     pub vertices_by_nearest_bone: usize,
+    /// How good the rig of the working mesh is, by what can be measured without knowing the right answer.
+    pub quality: Quality,
 }
 
 /// Why this mesh was not rigged.

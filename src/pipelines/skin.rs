@@ -12,6 +12,7 @@
 use super::prepared::{Prepared, SYMMETRIC_FROM};
 use super::shape::Shape;
 use super::{Facts, RigError, RigOptions, Rigged, SkinMethod, Stage, Subject, Symmetry, Watch};
+use crate::geometry::symmetry_plane::SymmetryPlane;
 use crate::geometry::transfer::transfer_map;
 use crate::geometry::volumetric_geodesic::Segment;
 use crate::geometry::voxel_binding::VoxelBinding;
@@ -19,7 +20,7 @@ use crate::nets::rignet::{RigNets, ShapeGraph};
 use crate::rig::bone_features::{BONE_CHANNELS, NEAREST_BONES, bone_features};
 use crate::rig::bone_weights::{BoneWeights, PRUNE_SHARE, SMOOTHINGS, TRACE_SHARE};
 use crate::rig::distance_falloff::{FALLOFF, VOXEL_SMOOTHINGS, VOXEL_TRACE_SHARE, falloff_weights};
-use crate::rig::quality::inside_share;
+use crate::rig::verdict::{self, Quality};
 use crate::rig::skeleton::Bone;
 use crate::rig::{Rig, Skeleton, SkinWeights};
 use glam::DVec3;
@@ -51,20 +52,29 @@ pub(super) fn skin(
     };
     let (skin, vertices_by_nearest_bone) = weigh(&shape, &normalised, weigher, options.max_influences, watch)?;
 
+    let plane = (shape.symmetry.score >= SYMMETRIC_FROM).then_some(&shape.symmetry);
+    let quality = judged(&shape, &normalised, &skin, plane);
+
     watch.enter(Stage::Transfer)?;
     let skin = skin.transferred(&transfer_map(&subject.original, &subject.working), options.max_influences);
-    let plane = (shape.symmetry.score >= SYMMETRIC_FROM).then_some(&shape.symmetry);
     let facts = Facts {
         working_vertices: shape.mesh.positions.len(),
         working_triangles: shape.mesh.triangles.len(),
         symmetry_plane: plane.map(|plane| subject.plane_in_upload(plane)),
         symmetry_score: shape.symmetry.score,
         bandwidth: None,
-        joints_inside: inside_share(&normalised.positions(), |joint| shape.solid.contains(joint)),
+        joints_inside: quality.joints_inside,
         joints_far_outside: far_outside(&shape, &normalised),
         vertices_by_nearest_bone,
+        quality,
     };
     Ok(Rigged { rig: Rig { skeleton: skeleton.clone(), skin }, facts })
+}
+
+/// What can be said of the rig of the working mesh.
+pub(super) fn judged(shape: &Shape, skeleton: &Skeleton, skin: &SkinWeights, plane: Option<&SymmetryPlane>) -> Quality {
+    let is_inside = |point| shape.solid.contains(point);
+    verdict::judge(&verdict::Subject { mesh: &shape.mesh, skeleton, skin, is_inside: &is_inside, plane })
 }
 
 /// Joints farther than this from the bounding box, in lengths of its longest side, belong to another unit or another place.

@@ -25,6 +25,7 @@ pub mod skeleton;
 pub mod skin_weights;
 pub mod spanning_tree;
 pub mod symmetrize;
+pub mod verdict;
 
 use glam::DVec3;
 

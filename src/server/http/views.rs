@@ -182,6 +182,18 @@ pub struct CreateView {
     pub options: OptionsView,
 }
 
+/// Which file to write of a rig.
+#[derive(ToSchema)]
+#[schema(as = ExportRig)]
+pub struct ExportView {
+    /// `glb`, `gltf`, `rig_json`, `rignet_txt` or `preview_png`.
+    #[schema(example = "gltf")]
+    pub output: String,
+    /// Joints per vertex at most, if not as the rig was asked for. Not more than were made.
+    #[schema(example = 2, minimum = 1, maximum = 8)]
+    pub max_influences: Option<usize>,
+}
+
 /// An upload that is kept, to be rigged more than once.
 #[derive(Debug, Serialize, ToSchema)]
 #[schema(as = Asset)]
