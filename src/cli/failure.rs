@@ -1,6 +1,6 @@
 //! Why a command ended without its result: a line for people, and the exit status for scripts.
 
-use rigsmith::jobs::JobError;
+use rigsmith::jobs::{ErrorCode, JobError};
 use std::path::Path;
 use std::process::ExitCode;
 
@@ -47,6 +47,12 @@ impl Failure {
             hint: error.hint.clone(),
             exit: error.code.exit_code(),
         }
+    }
+
+    /// What a service said, in its own code.
+    pub fn coded(code: &str, message: &str, hint: &str) -> Self {
+        let exit = ErrorCode::named(code).map_or(BAD_ARGUMENTS, ErrorCode::exit_code);
+        Self { message: format!("{message} ({code})"), hint: hint.to_owned(), exit }
     }
 
     /// Says it on stderr.

@@ -1,12 +1,14 @@
 //! The command line: parse, read files, call the library, write files, say what happened.
 
 mod check;
+mod client;
 mod config;
 mod failure;
 mod features;
 mod files;
 mod keys;
 mod methods;
+mod remote;
 mod rig;
 mod serve;
 mod skin;
@@ -39,6 +41,12 @@ enum Command {
     Methods,
     /// Start the HTTP service.
     Serve(serve::ServeArguments),
+    /// Send a mesh to a service; with -o, wait for its rig.
+    Submit(remote::SubmitArguments),
+    /// Show the progress of a rig that a service makes, until it is over.
+    Watch(remote::WatchArguments),
+    /// Print a rig of a service, or fetch what it made.
+    Get(remote::GetArguments),
     /// Print the settings that `serve` would use, each with where it comes from, as a configuration file.
     Config(config::ConfigArguments),
     /// Make, list and remove the keys that callers of a service show.
@@ -88,6 +96,9 @@ fn run_command() -> Result<(), failure::Failure> {
         Command::Check(arguments) => check::run(&arguments),
         Command::Methods => methods::run(&cli.engine),
         Command::Serve(arguments) => serve::run(arguments, &cli.engine),
+        Command::Submit(arguments) => remote::submit(&arguments),
+        Command::Watch(arguments) => remote::watch(&arguments),
+        Command::Get(arguments) => remote::get(&arguments),
         Command::Config(_) => config::run(&layered),
         Command::Keys(command) => keys::run(&command),
         Command::Health(arguments) => serve::health(&arguments),

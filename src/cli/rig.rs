@@ -161,7 +161,7 @@ impl ResultArguments {
 }
 
 /// Which output a file name asks for.
-fn output_kind(path: &Path) -> Result<Output, Failure> {
+pub fn output_kind(path: &Path) -> Result<Output, Failure> {
     let name = path.file_name().map(|name| name.to_string_lossy().to_lowercase()).unwrap_or_default();
     let kinds = [
         (".rig.json", Output::RigJson),

@@ -47,12 +47,12 @@ async fn keep(core: Arc<Core>) {
     let mut beat = Round::new(core.settings.lease / BEATS_PER_LEASE);
     let (mut look, mut news) = (Round::new(LOOK_EVERY), Round::new(NEWS_EVERY));
     let mut sweep = Round::new(core.settings.sweep_every);
-    let idle_bytes = memory::resident_bytes().unwrap_or(0);
+    let mut idle_bytes = memory::resident_bytes().unwrap_or(0);
     // While work is given back, leases are kept; afterwards there is nothing to keep.
     while !core.is_closed() || core.running.count() > 0 {
         tokio::time::sleep(tick).await;
         core.running.stop_overdue(Instant::now());
-        watch_memory(&core, idle_bytes);
+        watch_memory(&core, &mut idle_bytes);
         // Leases before the sweep: a process that was stopped for long and woke finds its own jobs first.
         let kept = async {
             if beat.comes() {
@@ -102,17 +102,22 @@ async fn give_up_stuck(core: &Core) -> Result<(), StoreFailure> {
         tracing::error!(job.id = %lease.job, ?stop, "the work does not yield; its job ends without it");
         if let Some(ended) = stuck(stop, stage) {
             core.jobs.finish(lease, Ending { outcome: Err(ended), stage, timings: Vec::new() }).await?;
+            core.collect_garbage().await?;
             core.watchers.tell(lease.job);
         }
     }
     Ok(())
 }
 
-/// Beyond the bound, the job that is expected to need most is stopped. One at a time: it needs a moment to give its
+/// Beyond the bound, beside what the process has when it is idle, the job that is expected to need most is stopped. One at a time: it needs a moment to give its
 /// memory back.
-fn watch_memory(core: &Core, idle_bytes: u64) {
-    let max = core.settings.memory_max();
-    let Some(taken) = memory::resident_bytes().map(|bytes| bytes.saturating_sub(idle_bytes)) else { return };
+fn watch_memory(core: &Core, idle_bytes: &mut u64) {
+    let (max, Some(resident)) = (core.settings.memory_max(), memory::resident_bytes()) else { return };
+    if core.running.count() == 0 {
+        // What the allocator keeps between jobs is nobody's.
+        *idle_bytes = resident;
+    }
+    let taken = resident.saturating_sub(*idle_bytes);
     if taken > max && !core.running.any_stopped() {
         core.running.stop_largest(Stop::OutOfMemory { taken, max });
     }

@@ -33,6 +33,7 @@ pub mod asset;
 pub mod clock;
 mod core;
 pub mod cores;
+mod counted;
 mod engine;
 pub mod event;
 pub mod failure;

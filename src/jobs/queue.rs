@@ -16,7 +16,7 @@ use super::store::sqlite::SqliteStore;
 use super::store::{Admission, Change, Counts, JobFilter, JobStore, LEASE, NewFiles, NewJob, Remembered, StoreFailure};
 use super::submission::{Caller, Missing, Refusal, Source, Submission, Submitted};
 use super::upload::{Received, Upload};
-use super::{Asset, keeper, memory, recipe, worker};
+use super::{Asset, counted, keeper, memory, recipe, worker};
 use crate::cancellation::Cancellation;
 use crate::storage::{Bundle, Content, NewBlob, Store, StoreError};
 use std::sync::Arc;
@@ -293,6 +293,9 @@ impl Jobs {
         let retry_after = self.core().turn();
         match admission {
             Admission::Admitted { job, .. } => {
+                if job.cached {
+                    counted::answered_at_once(&job);
+                }
                 self.core().wake.notify_one();
                 Ok(Submitted { job: *job, replayed: false })
             }
@@ -466,7 +469,7 @@ impl Jobs {
     /// A waiting job ends at once; a running one is asked to. Asking twice is asking once.
     pub async fn cancel(&self, caller: &Caller, id: JobId) -> Result<Job, Denied> {
         match self.core().jobs.cancel(caller, id).await? {
-            Change::Done => {}
+            Change::Done => self.core().collect_garbage().await?,
             Change::Requested => self.core().running.stop(id, Stop::Asked),
             Change::NotFound => return Err(Denied::NotFound),
             Change::State(state) => return Err(Denied::State(state)),

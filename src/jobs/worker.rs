@@ -1,6 +1,7 @@
 //! The threads that do the work.
 
 use super::core::Core;
+use super::counted;
 use super::failure::{ErrorCode, JobError};
 use super::job::{ArtifactInfo, JobResult};
 use super::perform::{Artifact, ModelInfo, Outcome, RigRequest, Watch};
@@ -90,7 +91,8 @@ fn work(core: &Arc<Core>, claim: Claim) {
     let span = tracing::info_span!("job", job.id = %id, attempt = lease.attempt);
     let _entered = span.enter();
     tracing::info!("the job runs");
-    let began = Instant::now();
+    let (began, job) = (Instant::now(), claim.job.clone());
+    counted::began(&job);
     let (ending, bundle) = run(core, claim);
     core.note_run(began.elapsed());
     let duration_ms = began.elapsed().as_millis() as u64;
@@ -105,9 +107,16 @@ fn work(core: &Arc<Core>, claim: Claim) {
         }
         None => tracing::info!(duration_ms, "the job goes back"),
     }
+    if let Some(ending) = &ending {
+        counted::ended(&job, ending);
+    }
+    let made_nothing = matches!(&ending, Some(Ending { outcome: Err(_), .. }));
     match ending {
         Some(ending) => tell(core, lease, ending, bundle),
         None => go_back(core, lease),
+    }
+    if made_nothing && let Err(error) = core.block_on(core.collect_garbage()) {
+        tracing::error!(%error, "the files of a job could not be removed");
     }
     core.running.end(lease);
     core.watchers.tell(id);

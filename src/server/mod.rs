@@ -16,7 +16,7 @@ use crate::jobs::Jobs;
 use axum::Router;
 use std::sync::Arc;
 use std::time::Duration;
-use tokio::sync::Semaphore;
+use tokio::sync::{Semaphore, watch};
 
 /// What handlers need. Clones share it.
 #[derive(Clone)]
@@ -27,6 +27,8 @@ pub struct App {
     /// `None`: everybody may ask.
     keys: Option<Keys>,
     buckets: Arc<Buckets>,
+    /// `true` once the service stops: streams without an end end then.
+    closing: Arc<watch::Sender<bool>>,
 }
 
 /// Limits of the door.
@@ -61,7 +63,7 @@ impl Default for Limits {
 impl App {
     pub fn new(jobs: Jobs, limits: Limits) -> Self {
         let uploads = Arc::new(Semaphore::new(limits.uploads_max));
-        Self { jobs, limits, uploads, keys: None, buckets: Arc::default() }
+        Self { jobs, limits, uploads, keys: None, buckets: Arc::default(), closing: Arc::default() }
     }
 
     /// Only callers who send one of `keys` may ask.

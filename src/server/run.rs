@@ -147,7 +147,7 @@ async fn background(config: &ServeConfig, app: &App) -> Result<Vec<JoinHandle<()
 /// Serves on `listener` until `shutdown` resolves, then stops in order: no new jobs and not ready, while callers can
 /// still look; running jobs finish within the grace, or are asked to stop; then connections close.
 pub async fn run(listener: TcpListener, shutdown: impl Future<Output = ()>, state: App) -> io::Result<()> {
-    let (jobs, limits) = (state.jobs.clone(), state.limits);
+    let (jobs, limits, closing) = (state.jobs.clone(), state.limits, state.closing.clone());
     let (close, closed) = oneshot::channel::<()>();
     let closed = async {
         // An error says that `close` is dropped, which means the same.
@@ -156,6 +156,7 @@ pub async fn run(listener: TcpListener, shutdown: impl Future<Output = ()>, stat
     let server = tokio::spawn(connections::serve(listener, app(state), limits.connection, closed, LAST_WAIT));
     shutdown.await;
     drain(&jobs, limits.grace).await;
+    closing.send_replace(true);
     drop(close);
     server.await.map_err(io::Error::other)
 }

@@ -2,14 +2,20 @@
 
 #[path = "http/artifacts.rs"]
 mod artifacts;
+#[path = "http/assets.rs"]
+mod assets;
 #[path = "http/callers.rs"]
 mod callers;
+#[path = "http/events.rs"]
+mod events;
+#[path = "http/examples.rs"]
+mod examples;
 #[path = "http/jobs.rs"]
 mod jobs;
 #[path = "http/refusals.rs"]
 mod refusals;
 #[path = "http/scripted.rs"]
-mod scripted;
+pub mod scripted;
 #[path = "http/service.rs"]
 mod service;
 #[path = "http/socket.rs"]

@@ -1,6 +1,7 @@
 //! All integration tests, linked once. One module per claim-bearing area.
 
 mod architecture;
+mod examples;
 mod formats_decode;
 mod formats_gltf;
 mod golden;
@@ -8,6 +9,8 @@ mod golden_geometry;
 mod golden_nets;
 mod golden_rig;
 mod http;
+mod jobs;
+mod jobs_store;
 mod metamorphic;
 mod pipeline;
 mod program;

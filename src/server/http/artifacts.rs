@@ -1,8 +1,10 @@
 //! The files that a job made.
 
 use super::App;
-use super::error::{ApiError, Code, ProblemView};
+use super::authenticate::Identity;
+use super::error::{ApiError, Code};
 use super::negotiate::query;
+use super::outermost::AboutJob;
 use super::rigs::{find, server_timing};
 use super::segments::Segments;
 use super::views::{ArtifactListView, ArtifactView, hex};
@@ -30,19 +32,17 @@ pub struct FileBytes(pub Vec<u8>);
     params(("id" = String, Path, description = "Id of the rig", example = "rig_01jdf5fj63fh5ra1njpy75fmyg")),
     responses(
         (status = 200, description = "The files; an empty list while there are none", body = ArtifactListView),
-        (status = 400, description = "`unknown_field`", body = ProblemView, content_type = "application/problem+json"),
-        (status = 404, description = "`not_found`", body = ProblemView, content_type = "application/problem+json"),
-        (status = 410, description = "`expired`", body = ProblemView, content_type = "application/problem+json"),
     ),
     extensions(("x-curl" = json!("curl $HOST/v1/rigs/$ID/artifacts"))),
 )]
 pub async fn list_artifacts(
     State(app): State<App>,
     Segments(id): Segments<String>,
+    identity: Identity,
     uri: Uri,
 ) -> Result<Json<ArtifactListView>, ApiError> {
     query(&uri, &[])?;
-    let job = find(&app, &id).await?;
+    let job = find(&app, &identity.caller, &id).await?;
     refuse_expired(&job)?;
     let made = job.result.iter().flat_map(|result| &result.artifacts);
     let data = made.map(|artifact| ArtifactView::new(&job, artifact)).collect();
@@ -72,21 +72,18 @@ pub async fn list_artifacts(
             ("Content-Range" = String, description = "Which bytes these are"),
         )),
         (status = 304, description = "The caller has it"),
-        (status = 400, description = "`unknown_field`", body = ProblemView, content_type = "application/problem+json"),
-        (status = 404, description = "`not_found`", body = ProblemView, content_type = "application/problem+json"),
-        (status = 410, description = "`expired`", body = ProblemView, content_type = "application/problem+json"),
-        (status = 416, description = "`range_not_satisfiable`", body = ProblemView, content_type = "application/problem+json"),
     ),
     extensions(("x-curl" = json!("curl -OJ $HOST/v1/rigs/$ID/artifacts/rigged.glb"))),
 )]
 pub async fn get_artifact(
     State(app): State<App>,
     Segments((id, name)): Segments<(String, String)>,
+    identity: Identity,
     uri: Uri,
     headers: HeaderMap,
 ) -> Result<Response, ApiError> {
     query(&uri, &[])?;
-    let job = find(&app, &id).await?;
+    let job = find(&app, &identity.caller, &id).await?;
     refuse_expired(&job)?;
     let made = job.result.iter().flat_map(|result| &result.artifacts).find(|artifact| artifact.name == name);
     let Some(artifact) = made else {
@@ -110,6 +107,21 @@ fn refuse_expired(job: &Job) -> Result<(), ApiError> {
 /// The bytes of `artifact`, or the part of them that `headers` ask for.
 pub async fn serve(app: &App, job: &Job, artifact: &ArtifactInfo, headers: &HeaderMap) -> Result<Response, ApiError> {
     let expired = || ApiError::new(Code::Expired, "the files of this job are no longer kept");
+    let mut response = serve_file(app, artifact, headers, expired).await?;
+    if let Some(timing) = server_timing(job) {
+        response.headers_mut().insert(super::rigs::SERVER_TIMING, timing);
+    }
+    response.extensions_mut().insert(AboutJob(job.id));
+    Ok(response)
+}
+
+/// The bytes of a stored file, or the part of them that `headers` ask for.
+pub async fn serve_file(
+    app: &App,
+    artifact: &ArtifactInfo,
+    headers: &HeaderMap,
+    expired: impl Fn() -> ApiError + Copy,
+) -> Result<Response, ApiError> {
     let etag = format!("\"{}\"", hex(&artifact.sha256));
     let part = match part(headers, &etag, artifact.bytes) {
         Ok(part) => part,
@@ -136,9 +148,6 @@ pub async fn serve(app: &App, job: &Job, artifact: &ArtifactInfo, headers: &Head
     ];
     for (name, value) in fields {
         response.headers_mut().insert(name, HeaderValue::from_str(&value).map_err(|error| ApiError::internal(&error))?);
-    }
-    if let Some(timing) = server_timing(job) {
-        response.headers_mut().insert(super::rigs::SERVER_TIMING, timing);
     }
     Ok(response)
 }

@@ -2,6 +2,7 @@
 
 use super::App;
 use super::error::{ApiError, Code};
+use crate::jobs::Caller;
 use crate::server::keys::Key;
 use axum::extract::{FromRequestParts, Request, State};
 use axum::http::request::Parts;
@@ -18,19 +19,18 @@ const RATE_LIMIT_POLICY: HeaderName = HeaderName::from_static("ratelimit-policy"
 /// Whose request this is, as far as handlers need to know.
 #[derive(Clone, Debug)]
 pub struct Identity {
-    /// Empty: nobody has to say.
-    pub caller: String,
+    pub caller: Caller,
     /// Unfinished jobs that the caller may have; `None`: as many as the queue holds.
     pub jobs_max: Option<usize>,
 }
 
 impl Identity {
     fn anonymous() -> Self {
-        Self { caller: String::new(), jobs_max: None }
+        Self { caller: Caller::anonymous(), jobs_max: None }
     }
 
     fn of(key: &Key) -> Self {
-        Self { caller: key.caller.clone(), jobs_max: Some(key.quota.jobs as usize) }
+        Self { caller: Caller::named(&key.caller), jobs_max: Some(key.quota.jobs as usize) }
     }
 }
 

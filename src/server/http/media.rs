@@ -12,6 +12,8 @@ pub enum Body {
         name: String,
     },
     Form,
+    /// The options, with the name of an asset.
+    Json,
 }
 
 /// Media types of meshes, and the extension that stands for each. No extension: the content decides.
@@ -37,8 +39,9 @@ const MESHES: &[(&str, &str)] = &[
 const MESH_EXTENSIONS: &[&str] = &["glb", "gltf", "obj", "ply", "stl", "fbx", "zip"];
 const NAME_BYTES_MAX: usize = 240;
 
-/// Decides by `Content-Type` how the body is read; `file_name` names a raw body.
-pub fn body(headers: &HeaderMap, file_name: Option<String>) -> Result<Body, ApiError> {
+/// Decides by `Content-Type` how the body is read; `file_name` names a raw body. JSON is read where it can say
+/// something, which is where an asset may be named.
+pub fn body(headers: &HeaderMap, file_name: Option<String>, json: bool) -> Result<Body, ApiError> {
     let declared = headers.get(header::CONTENT_TYPE).map(|value| value.to_str().unwrap_or("not ASCII"));
     let essence = declared.unwrap_or("application/octet-stream").split(';').next().unwrap_or_default();
     let essence = essence.trim().to_ascii_lowercase();
@@ -48,15 +51,26 @@ pub fn body(headers: &HeaderMap, file_name: Option<String>) -> Result<Body, ApiE
         }
         return Ok(Body::Form);
     }
-    let Some((_, extension)) = MESHES.iter().find(|(name, _)| *name == essence) else {
-        return Err(unsupported(&essence));
-    };
-    let name = match (file_name, *extension) {
-        (Some(name), _) => name,
-        (None, "") => "upload".to_owned(),
-        (None, extension) => format!("upload.{extension}"),
+    if essence == "application/json" && json {
+        if file_name.is_some() {
+            return Err(ApiError::field("file_name", "is for a raw body; an asset has its name already"));
+        }
+        return Ok(Body::Json);
+    }
+    let name = match file_name {
+        Some(name) => name_for(&essence).map(|_| name)?,
+        None => name_for(&essence)?,
     };
     Ok(Body::Mesh { name })
+}
+
+/// A name for a mesh of this media type; without an extension when the type leaves the choice.
+pub fn name_for(essence: &str) -> Result<String, ApiError> {
+    match MESHES.iter().find(|(name, _)| *name == essence) {
+        Some((_, "")) => Ok("upload".to_owned()),
+        Some((_, extension)) => Ok(format!("upload.{extension}")),
+        None => Err(unsupported(essence)),
+    }
 }
 
 fn unsupported(seen: &str) -> ApiError {

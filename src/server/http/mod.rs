@@ -1,8 +1,12 @@
 //! The REST interface. A handler extracts, calls [`crate::jobs`], and answers.
 
 pub mod artifacts;
+pub mod assets;
 pub mod authenticate;
+pub mod create;
 pub mod error;
+pub mod events;
+mod idempotency;
 mod media;
 mod negotiate;
 pub mod openapi;
@@ -11,8 +15,10 @@ mod receive;
 pub mod rigs;
 mod segments;
 pub mod service;
+mod sink;
 pub(super) mod timestamp;
 pub mod views;
+pub mod wishes;
 
 use self::error::{ApiError, Code};
 use super::App;
@@ -36,9 +42,13 @@ pub fn routes(app: App) -> Router {
         .route("/v1/problems", get(service::list_problems))
         .route("/v1/problems/{code}", get(service::get_problem))
         .route("/v1/methods", get(service::list_methods))
-        .route("/v1/rigs", get(rigs::list_rigs).post(rigs::create_rig))
-        .route("/v1/rigs:check", post(rigs::check_rig))
-        .route("/v1/rigs/{id}", get(rigs::get_rig).delete(rigs::delete_rig).post(rigs::rig_verb))
+        .route("/v1/assets", post(assets::create_asset))
+        .route("/v1/assets/{id}", get(assets::get_asset).delete(assets::delete_asset))
+        .route("/v1/assets/{id}/content", get(assets::get_asset_content))
+        .route("/v1/rigs", get(rigs::list_rigs).post(create::create_rig))
+        .route("/v1/rigs:check", post(create::check_rig))
+        .route("/v1/rigs/{id}", get(rigs::get_rig).put(create::put_rig).delete(rigs::delete_rig).post(rigs::rig_verb))
+        .route("/v1/rigs/{id}/events", get(events::rig_events))
         .route("/v1/rigs/{id}/artifacts", get(artifacts::list_artifacts))
         .route("/v1/rigs/{id}/artifacts/{name}", get(artifacts::get_artifact))
         .fallback(no_such_path)

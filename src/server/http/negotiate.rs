@@ -86,6 +86,22 @@ pub fn answer(headers: &HeaderMap) -> Result<Answer, ApiError> {
     }
 }
 
+/// The one value of a field that is text; refused when it is sent twice or is no text.
+pub fn text_header<'a>(headers: &'a HeaderMap, name: &HeaderName) -> Result<Option<&'a str>, ApiError> {
+    let mut values = headers.get_all(name).iter();
+    let Some(value) = values.next() else { return Ok(None) };
+    if values.next().is_some() {
+        return Err(ApiError::field(name.as_str(), "is sent twice; send it once"));
+    }
+    value.to_str().map(Some).map_err(|_| ApiError::field(name.as_str(), "is not ASCII text"))
+}
+
+/// Whether the caller wants the work done even if an equal result is there.
+pub fn no_cache(headers: &HeaderMap) -> bool {
+    let directives = headers.get_all(header::CACHE_CONTROL).iter().filter_map(|value| value.to_str().ok());
+    directives.flat_map(|value| value.split(',')).any(|directive| directive.trim().eq_ignore_ascii_case("no-cache"))
+}
+
 /// The `q` of a media range, 1 when it has none.
 fn quality(parameters: &str) -> f64 {
     let q = parameters.split(';').filter_map(|parameter| parameter.trim().strip_prefix("q=")).next();

@@ -1,9 +1,15 @@
 //! The description of the interface, for machines at `/v1/openapi.json` and for people at `/docs`.
 
-use super::{artifacts, rigs, service};
+use super::error::{Code, ProblemView};
+use super::views::RequestView;
+use super::{artifacts, assets, create, events, rigs, service};
+use crate::jobs::ErrorCode;
 use axum::Json;
 use axum::http::header;
 use axum::response::{Html, IntoResponse};
+use serde_json::{Map, Value, json};
+use std::collections::BTreeMap;
+use std::sync::LazyLock;
 use utoipa::OpenApi;
 
 #[derive(OpenApi)]
@@ -16,21 +22,135 @@ use utoipa::OpenApi;
     servers((url = "/", description = "This service")),
     tags(
         (name = "rigs", description = "A mesh in, a rig out."),
+        (name = "assets", description = "Meshes that are kept, to be rigged more than once."),
         (name = "artifacts", description = "The files that were made."),
         (name = "service", description = "What runs here, and how it is."),
     ),
     paths(
-        rigs::create_rig, rigs::get_rig, rigs::list_rigs, rigs::cancel_rig, rigs::delete_rig, rigs::check_rig,
+        create::create_rig, create::put_rig, create::check_rig,
+        rigs::get_rig, rigs::list_rigs, rigs::cancel_rig, rigs::delete_rig, events::rig_events,
+        assets::create_asset, assets::get_asset, assets::delete_asset, assets::get_asset_content,
         artifacts::list_artifacts, artifacts::get_artifact,
         service::list_methods, service::list_problems, service::get_problem,
         service::livez, service::readyz, service::startupz, service::version,
     ),
+    components(schemas(ProblemView, RequestView)),
 )]
 struct Description;
 
+/// Refusals of what stands in the query and the path,
+const ASKING: &[Code] = &[Code::UnknownField, Code::InvalidParameter];
+/// of everything that uploads,
+const UPLOADING: &[Code] = &[
+    Code::UnknownField,
+    Code::InvalidParameter,
+    Code::InvalidMultipart,
+    Code::UploadIncomplete,
+    Code::UploadTimeout,
+    Code::QueueFull,
+    Code::Work(ErrorCode::TooLarge),
+    Code::Work(ErrorCode::UnsupportedMediaType),
+    Code::Work(ErrorCode::UnreadableMesh),
+    Code::Work(ErrorCode::Draining),
+];
+/// of what needs the networks,
+const WORKING: &[Code] = &[Code::InvalidJson, Code::NotFound, Code::Starting, Code::Work(ErrorCode::ModelUnavailable)];
+/// of what makes jobs and answers with their file,
+const CREATING: &[Code] = &[
+    Code::Conflict,
+    Code::NotAcceptable,
+    Code::QuotaExceeded,
+    Code::IdempotencyMismatch,
+    Code::IdempotencyInProgress,
+    Code::Work(ErrorCode::NoJointsFound),
+    Code::Work(ErrorCode::DegenerateSkeleton),
+    Code::Work(ErrorCode::Timeout),
+    Code::Work(ErrorCode::OutOfMemory),
+    Code::Work(ErrorCode::NumericalFailure),
+    Code::Work(ErrorCode::OutputInvalid),
+    Code::Work(ErrorCode::WorkerLost),
+    Code::Work(ErrorCode::Canceled),
+];
+/// and of meshes that are looked into.
+const READING: &[Code] = &[
+    Code::Work(ErrorCode::TooManyFaces),
+    Code::Work(ErrorCode::TooManyVertices),
+    Code::Work(ErrorCode::ZipBomb),
+    Code::Work(ErrorCode::NoGeometry),
+    Code::Work(ErrorCode::NonFiniteVertices),
+    Code::Work(ErrorCode::UnsupportedExtension),
+    Code::Work(ErrorCode::MissingResource),
+    Code::Work(ErrorCode::AlreadyRigged),
+    Code::Work(ErrorCode::NotRiggable),
+];
+/// Refusals of whatever asks for a key.
+const GUARDED: &[Code] = &[Code::Unauthenticated, Code::RateLimited, Code::Work(ErrorCode::Internal)];
+
+/// Which refusals each operation may answer with, by its id. Operations that are not here refuse nothing.
+const PROBLEMS: &[(&str, &[&[Code]])] = &[
+    ("create_rig", &[GUARDED, UPLOADING, WORKING, CREATING, READING]),
+    ("put_rig", &[GUARDED, UPLOADING, WORKING, CREATING, READING]),
+    ("check_rig", &[GUARDED, UPLOADING, WORKING, READING]),
+    ("get_rig", &[GUARDED, ASKING, &[Code::NotFound]]),
+    ("list_rigs", &[GUARDED, ASKING]),
+    ("cancel_rig", &[GUARDED, ASKING, &[Code::NotFound, Code::NotCancelable]]),
+    ("delete_rig", &[GUARDED, ASKING, &[Code::NotFound, Code::Conflict]]),
+    ("rig_events", &[GUARDED, ASKING, &[Code::NotFound]]),
+    ("create_asset", &[GUARDED, UPLOADING, &[Code::IdempotencyMismatch, Code::IdempotencyInProgress, Code::NotFound]]),
+    ("get_asset", &[GUARDED, ASKING, &[Code::NotFound]]),
+    ("delete_asset", &[GUARDED, ASKING, &[Code::NotFound]]),
+    ("get_asset_content", &[GUARDED, ASKING, &[Code::NotFound, Code::Expired, Code::RangeNotSatisfiable]]),
+    ("list_artifacts", &[GUARDED, ASKING, &[Code::NotFound, Code::Expired]]),
+    ("get_artifact", &[GUARDED, ASKING, &[Code::NotFound, Code::Expired, Code::RangeNotSatisfiable]]),
+    ("list_methods", &[GUARDED, ASKING]),
+    ("get_problem", &[&[Code::NotFound]]),
+    ("readyz", &[&[Code::Starting, Code::Work(ErrorCode::Draining), Code::Work(ErrorCode::ModelUnavailable)]]),
+    ("startupz", &[&[Code::Starting]]),
+];
+
 /// The OpenAPI 3.1 document.
 pub async fn openapi() -> impl IntoResponse {
-    Json(Description::openapi())
+    static DOCUMENT: LazyLock<Value> = LazyLock::new(document);
+    Json(DOCUMENT.clone())
+}
+
+fn document() -> Value {
+    let mut document = serde_json::to_value(Description::openapi()).unwrap_or_default();
+    let scheme = json!({"type": "http", "scheme": "bearer", "description": "A key made by `rigsmith keys new`; only where the service asks for keys"});
+    document["components"]["securitySchemes"] = json!({"key": scheme});
+    let paths = document.get_mut("paths").and_then(Value::as_object_mut);
+    let operations = paths.into_iter().flat_map(Map::values_mut).filter_map(Value::as_object_mut);
+    for operation in operations.flat_map(Map::values_mut) {
+        complete(operation);
+    }
+    document
+}
+
+/// Adds the refusals of an operation, and whether it asks for a key.
+fn complete(operation: &mut Value) {
+    let id = operation["operationId"].as_str().unwrap_or_default();
+    let Some((_, groups)) = PROBLEMS.iter().find(|(known, _)| *known == id) else { return };
+    let mut by_status: BTreeMap<u16, Vec<&str>> = BTreeMap::new();
+    for facts in groups.iter().copied().flatten().map(|code| code.facts()) {
+        let codes = by_status.entry(facts.status.as_u16()).or_default();
+        if !codes.contains(&facts.code) {
+            codes.push(facts.code);
+        }
+    }
+    if groups.contains(&GUARDED) {
+        operation["security"] = json!([{"key": []}, {}]);
+    }
+    for (status, codes) in by_status {
+        let named: Vec<String> = codes.iter().map(|code| format!("`{code}`")).collect();
+        let problem = json!({"schema": {"$ref": "#/components/schemas/Problem"}});
+        let mut response = json!({"description": named.join(", "), "content": {"application/problem+json": problem}});
+        if [429, 503].contains(&status) {
+            let seconds = json!({"type": "integer", "minimum": 1});
+            response["headers"] =
+                json!({"Retry-After": {"description": "Seconds after which to try again", "schema": seconds}});
+        }
+        operation["responses"][status.to_string()] = response;
+    }
 }
 
 /// The same for people; a page that draws itself from the document and loads nothing else.

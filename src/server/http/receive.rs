@@ -3,43 +3,76 @@
 use super::App;
 use super::error::{ApiError, Code};
 use super::media::{self, Body};
-use super::negotiate::query_pairs;
-use crate::formats::refuse_foreign;
-use crate::jobs::{ErrorCode, OptionsReader, Received, Refusal, RigOptions, Upload};
+use super::negotiate::{query, query_pairs};
+use super::sink::{Deadline, Sink};
+use super::wishes::{Wishes, WishesReader};
+use crate::jobs::{AssetId, ErrorCode, Received, Refusal, Source};
 use axum::extract::multipart::{Field, MultipartError};
 use axum::extract::{FromRequest, Multipart, Request};
 use axum::http::{HeaderMap, StatusCode, header};
-use bytes::Bytes;
+use base64::Engine;
+use base64::prelude::BASE64_STANDARD;
 use http_body_util::BodyExt;
+use serde_json::{Map, Value};
 use std::collections::BTreeSet;
 use std::time::Duration;
-use tokio::time::Instant;
 
-/// Bytes collected before they are written, so that a byte-wise upload does not become a byte-wise disk.
-const WRITE_BYTES: usize = 1 << 20;
-/// Enough of a file to tell what it is.
-const HEAD_BYTES: usize = 4096;
 /// Files and fields of one form.
 const PARTS_MAX: usize = 512;
 /// A text field, or the JSON part `options`.
 const TEXT_BYTES_MAX: usize = 64 * 1024;
+/// A mesh within JSON,
+const INLINE_BYTES_MAX: usize = 4 << 20;
+/// and the JSON around it: base64 makes four bytes of three.
+const JSON_BYTES_MAX: u64 = 6 << 20;
 /// Refusing early helps the sender; an upload that is refused after it began is read no further.
 const BUSY_RETRY: Duration = Duration::from_secs(2);
 
-/// A mesh to rig and how, as a request brought it.
+/// What a create or check request brought.
 pub struct Order {
-    pub received: Received,
-    pub options: RigOptions,
+    pub source: Source,
+    pub wishes: Wishes,
 }
 
-/// Receives the upload of a create or check request. Refuses what it can before the body is read.
-pub async fn order(app: &App, request: Request) -> Result<Order, ApiError> {
-    let (mut options, file_name) = query_options(&request)?;
-    let body = media::body(request.headers(), file_name)?;
+/// Receives the upload of a create or check request, or the name of an asset in its place. Refuses what it can before
+/// the body is read; a full queue only when the request cannot be a repetition.
+pub async fn order(app: &App, request: Request, may_be_known: bool) -> Result<Order, ApiError> {
+    let (mut wishes, file_name) = query_wishes(&request)?;
+    let body = media::body(request.headers(), file_name, true)?;
+    let bytes_max = if body == Body::Json { JSON_BYTES_MAX } else { app.limits.upload_bytes_max };
+    declared_length(request.headers(), bytes_max)?;
+    // The body may still bring wishes; those of the query must be right by themselves.
+    let early = wishes.clone().finish(app.jobs.settings())?;
+    if may_be_known {
+        app.jobs.ready()?;
+    } else {
+        app.jobs.admit(&early.options).await?;
+    }
+    let source = match body {
+        Body::Json => json_order(app, request, &mut wishes).await?,
+        body => Source::Upload(files(app, request, body, Some(&mut wishes)).await?),
+    };
+    Ok(Order { source, wishes: wishes.finish(app.jobs.settings())? })
+}
+
+/// Receives the files of an asset.
+pub async fn asset(app: &App, request: Request) -> Result<Received, ApiError> {
+    let mut file_name = None;
+    for (name, value) in query(request.uri(), &["file_name"])? {
+        file_name = Some(media::relative_name(&value).map_err(|detail| ApiError::field(&name, detail))?);
+    }
+    let body = media::body(request.headers(), file_name, false)?;
     declared_length(request.headers(), app.limits.upload_bytes_max)?;
-    // A form may still bring options; those of the query must be right by themselves.
-    let early = options.clone().finish().map_err(ApiError::fields)?;
-    app.jobs.admit(&early).await?;
+    files(app, request, body, None).await
+}
+
+/// Receives files; a form without `wishes` may hold nothing else.
+async fn files(
+    app: &App,
+    request: Request,
+    body: Body,
+    wishes: Option<&mut WishesReader>,
+) -> Result<Received, ApiError> {
     let Ok(_permit) = app.uploads.try_acquire() else {
         let refusal = Refusal::QueueFull { waiting: app.limits.uploads_max, retry_after: BUSY_RETRY };
         return Err(refusal.into());
@@ -47,25 +80,98 @@ pub async fn order(app: &App, request: Request) -> Result<Order, ApiError> {
     let mut sink = Sink::open(app)?;
     let main = match body {
         Body::Mesh { name } => raw(&mut sink, request, &name).await.map(|()| name)?,
-        Body::Form => form(&mut sink, request, &mut options).await?,
+        Body::Form | Body::Json => form(&mut sink, request, wishes).await?,
     };
-    let options = options.finish().map_err(ApiError::fields)?;
-    let received = sink.finish(&main).await?;
-    Ok(Order { received, options })
+    sink.finish(&main).await
 }
 
-/// Options of the query, and the name that it gives to a raw body.
-fn query_options(request: &Request) -> Result<(OptionsReader, Option<String>), ApiError> {
-    let mut options = OptionsReader::default();
+/// Wishes of the query, and the name that it gives to a raw body.
+fn query_wishes(request: &Request) -> Result<(WishesReader, Option<String>), ApiError> {
+    let mut wishes = WishesReader::default();
     let mut file_name = None;
     for (name, value) in query_pairs(request.uri())? {
         if name == "file_name" {
             file_name = Some(media::relative_name(&value).map_err(|detail| ApiError::field("file_name", detail))?);
         } else {
-            options.text(&name, &value);
+            wishes.text(&name, &value);
         }
     }
-    Ok((options, file_name))
+    Ok((wishes, file_name))
+}
+
+/// The mesh that a JSON body names or holds; its other members are wishes.
+async fn json_order(app: &App, request: Request, wishes: &mut WishesReader) -> Result<Source, ApiError> {
+    let mut members = json_body(app, request).await?;
+    let asset = members.shift_remove("asset");
+    members.iter().for_each(|(name, value)| wishes.json(name, value));
+    // What is wrong with the other members is told first: it needs no look into the store.
+    wishes.clone().finish(app.jobs.settings())?;
+    match asset {
+        Some(Value::String(id)) => asset_id(&id).map(Source::Asset),
+        Some(Value::Object(given)) => inline(app, &given).await.map(Source::Upload),
+        Some(other) => Err(ApiError::field("asset", format!("{other} is neither an id nor an object"))),
+        None => Err(ApiError::field("asset", "is missing")
+            .hint("POST the mesh to /v1/assets and name its id, or send the mesh itself as the body")),
+    }
+}
+
+pub fn asset_id(text: &str) -> Result<AssetId, ApiError> {
+    text.parse().map_err(|error| ApiError::not_found("such asset").hint(format!("{error}")))
+}
+
+/// A JSON object as the body.
+pub async fn json_body(app: &App, request: Request) -> Result<Map<String, Value>, ApiError> {
+    let deadline = Deadline::of(app);
+    let mut body = request.into_body();
+    let mut bytes = Vec::new();
+    while let Some(frame) = deadline.in_time(body.frame()).await? {
+        if let Ok(data) = frame.map_err(|_| incomplete())?.into_data() {
+            bytes.extend_from_slice(&data);
+        }
+        if bytes.len() as u64 > JSON_BYTES_MAX {
+            return Err(ApiError::too_large(JSON_BYTES_MAX, None));
+        }
+    }
+    serde_json::from_slice(&bytes).map_err(|error| {
+        ApiError::new(Code::InvalidJson, format!("the body is not a JSON object: {error}"))
+            .hint("send {\"asset\": \"ast_…\"}, for example")
+    })
+}
+
+/// A small mesh within the JSON.
+async fn inline(app: &App, given: &Map<String, Value>) -> Result<Received, ApiError> {
+    if given.contains_key("url") {
+        return Err(ApiError::unknown_field(
+            "asset.url",
+            "asset.inline, and ids of assets; this service fetches nothing",
+        )
+        .hint("download the file and POST it to /v1/assets"));
+    }
+    let inner = given.get("inline").filter(|_| given.len() == 1).and_then(Value::as_object);
+    let inner = inner.ok_or_else(|| ApiError::unknown_field("asset", "asset.inline with media_type and base64"))?;
+    if let Some(name) = inner.keys().find(|name| !["media_type", "base64"].contains(&name.as_str())) {
+        return Err(ApiError::unknown_field(&format!("asset.inline.{name}"), "media_type, base64"));
+    }
+    let text = |name: &str| {
+        let value = inner.get(name).and_then(Value::as_str);
+        value.ok_or_else(|| ApiError::field(&format!("asset.inline.{name}"), "is missing or not a text"))
+    };
+    let name = media::name_for(text("media_type")?)?;
+    let bytes = BASE64_STANDARD
+        .decode(text("base64")?)
+        .map_err(|error| ApiError::field("asset.inline.base64", format!("is not base64: {error}")))?;
+    if bytes.is_empty() {
+        return Err(empty(&name));
+    }
+    if bytes.len() > INLINE_BYTES_MAX {
+        return Err(ApiError::too_large(INLINE_BYTES_MAX as u64, Some(bytes.len() as u64)));
+    }
+    let mut sink = Sink::open(app)?;
+    sink.begin(&name).await?;
+    sink.push(bytes.into()).await?;
+    sink.refuse_foreign(&name)?;
+    sink.flush().await?;
+    sink.finish(&name).await
 }
 
 fn declared_length(headers: &HeaderMap, max: u64) -> Result<(), ApiError> {
@@ -79,7 +185,7 @@ fn declared_length(headers: &HeaderMap, max: u64) -> Result<(), ApiError> {
 async fn raw(sink: &mut Sink, request: Request, name: &str) -> Result<(), ApiError> {
     sink.begin(name).await?;
     let mut body = request.into_body();
-    while let Some(frame) = sink.in_time(body.frame()).await? {
+    while let Some(frame) = sink.deadline.in_time(body.frame()).await? {
         let frame = frame.map_err(|_| incomplete())?;
         if let Ok(data) = frame.into_data() {
             sink.push(data).await?;
@@ -87,40 +193,48 @@ async fn raw(sink: &mut Sink, request: Request, name: &str) -> Result<(), ApiErr
         }
     }
     sink.flush().await?;
-    if sink.file_bytes == 0 {
+    if sink.file_bytes() == 0 {
         return Err(empty(name));
     }
     Ok(())
 }
 
 /// Reads a form; gives the name of the main file.
-async fn form(sink: &mut Sink, request: Request, options: &mut OptionsReader) -> Result<String, ApiError> {
+async fn form(sink: &mut Sink, request: Request, mut wishes: Option<&mut WishesReader>) -> Result<String, ApiError> {
     let mut form = Multipart::from_request(request, &())
         .await
         .map_err(|rejection| ApiError::new(Code::InvalidMultipart, rejection.body_text()))?;
     let mut files = Files::default();
     for _ in 0..PARTS_MAX {
-        let Some(mut field) = sink.in_time(form.next_field()).await?.map_err(|error| broken(sink, &error))? else {
+        let Some(mut field) = sink.deadline.in_time(form.next_field()).await?.map_err(|error| broken(sink, &error))?
+        else {
             let main = files.main()?;
             sink.refuse_foreign(&main)?;
             return Ok(main);
         };
         let name = field.name().unwrap_or_default().to_owned();
         match field.file_name().map(str::to_owned) {
-            Some(_) if name == "options" => json_options(&text(sink, &mut field).await?, options)?,
+            Some(_) if name == "options" && wishes.is_some() => {
+                json_options(&text(sink, &mut field).await?, wishes.as_deref_mut())?;
+            }
             Some(file_name) => {
                 let file_name = files.add(&name, &file_name)?;
                 sink.begin(&file_name).await?;
-                while let Some(chunk) = sink.in_time(field.chunk()).await?.map_err(|error| broken(sink, &error))? {
+                while let Some(chunk) =
+                    sink.deadline.in_time(field.chunk()).await?.map_err(|error| broken(sink, &error))?
+                {
                     sink.push(chunk).await?;
                 }
                 sink.flush().await?;
-                if sink.file_bytes == 0 && media::is_mesh_name(&file_name) {
+                if sink.file_bytes() == 0 && media::is_mesh_name(&file_name) {
                     return Err(empty(&file_name));
                 }
             }
-            None if name == "options" => json_options(&text(sink, &mut field).await?, options)?,
-            None => options.text(&name, &text(sink, &mut field).await?),
+            None if name == "options" => json_options(&text(sink, &mut field).await?, wishes.as_deref_mut())?,
+            None => match wishes.as_deref_mut() {
+                Some(wishes) => wishes.text(&name, &text(sink, &mut field).await?),
+                None => return Err(ApiError::unknown_field(&name, "files alone, each with a file name")),
+            },
         }
     }
     Err(ApiError::new(Code::InvalidMultipart, format!("the form has more than {PARTS_MAX} parts"))
@@ -130,7 +244,7 @@ async fn form(sink: &mut Sink, request: Request, options: &mut OptionsReader) ->
 async fn text(sink: &mut Sink, field: &mut Field<'_>) -> Result<String, ApiError> {
     let name = field.name().unwrap_or_default().to_owned();
     let mut bytes = Vec::new();
-    while let Some(chunk) = sink.in_time(field.chunk()).await?.map_err(|error| broken(sink, &error))? {
+    while let Some(chunk) = sink.deadline.in_time(field.chunk()).await?.map_err(|error| broken(sink, &error))? {
         bytes.extend_from_slice(&chunk);
         if bytes.len() > TEXT_BYTES_MAX {
             return Err(ApiError::field(&name, format!("is longer than {TEXT_BYTES_MAX} bytes"))
@@ -140,13 +254,16 @@ async fn text(sink: &mut Sink, field: &mut Field<'_>) -> Result<String, ApiError
     String::from_utf8(bytes).map_err(|_| ApiError::field(&name, "is not UTF-8 text"))
 }
 
-fn json_options(text: &str, options: &mut OptionsReader) -> Result<(), ApiError> {
+fn json_options(text: &str, wishes: Option<&mut WishesReader>) -> Result<(), ApiError> {
+    let Some(wishes) = wishes else {
+        return Err(ApiError::unknown_field("options", "files alone, each with a file name"));
+    };
     let members: serde_json::Map<String, serde_json::Value> = serde_json::from_str(text).map_err(|error| {
         ApiError::new(Code::InvalidJson, format!("the part options is not a JSON object: {error}"))
             .hint("send options={\"detail\": 0.7}, for example")
     })?;
     for (name, value) in &members {
-        options.json(name, value);
+        wishes.json(name, value);
     }
     Ok(())
 }
@@ -198,121 +315,13 @@ impl Files {
     }
 }
 
-/// Where received bytes go. Writes happen on threads that may block.
-struct Sink {
-    /// `None` while a write is under way, and for good when it failed.
-    upload: Option<Upload>,
-    pending: Vec<Bytes>,
-    pending_bytes: usize,
-    bytes: u64,
-    bytes_max: u64,
-    /// Bytes of the file begun last.
-    file_bytes: u64,
-    /// The first bytes of each file, the newest last.
-    heads: Vec<(String, Vec<u8>)>,
-    pause_max: Duration,
-    /// When even a steady upload has taken too long.
-    deadline: Instant,
-}
-
-impl Sink {
-    fn open(app: &App) -> Result<Self, ApiError> {
-        Ok(Self {
-            upload: Some(app.jobs.upload().map_err(|error| ApiError::store(&error))?),
-            pending: Vec::new(),
-            pending_bytes: 0,
-            bytes: 0,
-            bytes_max: app.limits.upload_bytes_max,
-            file_bytes: 0,
-            heads: Vec::new(),
-            pause_max: app.limits.upload_pause_max,
-            deadline: Instant::now() + app.limits.upload_time_max,
-        })
-    }
-
-    /// What `next` gives, unless the sender pauses for too long.
-    async fn in_time<T>(&self, next: impl Future<Output = T>) -> Result<T, ApiError> {
-        let until = self.deadline.min(Instant::now() + self.pause_max);
-        tokio::time::timeout_at(until, next).await.map_err(|_| {
-            let detail = if until == self.deadline {
-                "the upload took too long".to_owned()
-            } else {
-                format!("no byte arrived for {} s", self.pause_max.as_secs_f64())
-            };
-            ApiError::new(Code::UploadTimeout, detail).hint("send it again over a steadier connection")
-        })
-    }
-
-    async fn begin(&mut self, name: &str) -> Result<(), ApiError> {
-        self.file_bytes = 0;
-        self.heads.push((name.to_owned(), Vec::new()));
-        let name = name.to_owned();
-        self.write(move |upload| upload.begin(&name)).await
-    }
-
-    async fn push(&mut self, data: Bytes) -> Result<(), ApiError> {
-        self.bytes += data.len() as u64;
-        self.file_bytes += data.len() as u64;
-        if self.bytes > self.bytes_max {
-            return Err(ApiError::too_large(self.bytes_max, None));
-        }
-        if let Some((_, head)) = self.heads.last_mut() {
-            let missing = HEAD_BYTES.saturating_sub(head.len()).min(data.len());
-            head.extend(data.iter().take(missing));
-        }
-        self.pending_bytes += data.len();
-        self.pending.push(data);
-        if self.pending_bytes >= WRITE_BYTES { self.flush().await } else { Ok(()) }
-    }
-
-    /// Refuses what is surely no mesh, by name.
-    fn refuse_foreign(&self, name: &str) -> Result<(), ApiError> {
-        let head = self.heads.iter().find(|(known, _)| known == name).map_or(&[][..], |(_, head)| head);
-        refuse_foreign(head).map_err(|error| {
-            let code = Code::Work(ErrorCode::UnsupportedMediaType);
-            ApiError::new(code, format!("{name}: {error}")).hint(error.hint())
-        })
-    }
-
-    async fn flush(&mut self) -> Result<(), ApiError> {
-        let pending = std::mem::take(&mut self.pending);
-        self.pending_bytes = 0;
-        if pending.is_empty() {
-            return Ok(());
-        }
-        self.write(move |upload| pending.iter().try_for_each(|data| upload.append(data))).await
-    }
-
-    async fn write(
-        &mut self,
-        write: impl FnOnce(&mut Upload) -> Result<(), crate::storage::StoreError> + Send + 'static,
-    ) -> Result<(), ApiError> {
-        let Some(mut upload) = self.upload.take() else {
-            return Err(ApiError::internal(&"an upload was written to after its end"));
-        };
-        let written = tokio::task::spawn_blocking(move || write(&mut upload).map(|()| upload)).await;
-        let upload = written.map_err(|error| ApiError::internal(&error))?;
-        self.upload = Some(upload.map_err(|error| ApiError::store(&error))?);
-        Ok(())
-    }
-
-    async fn finish(mut self, main: &str) -> Result<Received, ApiError> {
-        let Some(upload) = self.upload.take() else {
-            return Err(ApiError::internal(&"an upload was finished twice"));
-        };
-        let main = main.to_owned();
-        let finished = tokio::task::spawn_blocking(move || upload.finish(&main)).await;
-        finished.map_err(|error| ApiError::internal(&error))?.map_err(|error| ApiError::store(&error))
-    }
-}
-
 fn incomplete() -> ApiError {
     ApiError::new(Code::UploadIncomplete, "the connection closed before the body was complete")
 }
 
 fn broken(sink: &Sink, error: &MultipartError) -> ApiError {
     if error.status() == StatusCode::PAYLOAD_TOO_LARGE {
-        return ApiError::too_large(sink.bytes_max, None);
+        return ApiError::too_large(sink.bytes_max(), None);
     }
     ApiError::new(Code::InvalidMultipart, format!("the form cannot be read: {}", error.body_text()))
 }

@@ -1,7 +1,7 @@
 //! About the service itself: probes, version, methods, problems.
 
 use super::App;
-use super::error::{ApiError, Code, Facts, ProblemView};
+use super::error::{ApiError, Code, Facts};
 use super::negotiate::query;
 use super::segments::Segments;
 use super::views::{ModelView, models};
@@ -100,7 +100,6 @@ pub async fn livez() -> Json<StatusView> {
     get, path = "/readyz", tag = "service",
     responses(
         (status = 200, description = "Yes: the networks are loaded and have passed their self-tests", body = StatusView),
-        (status = 503, description = "`starting`, `draining` or `model_unavailable`", body = ProblemView, content_type = "application/problem+json"),
     ),
     extensions(("x-curl" = json!("curl $HOST/readyz"))),
 )]
@@ -117,7 +116,6 @@ pub async fn readyz(State(app): State<App>) -> Result<Json<StatusView>, ApiError
     get, path = "/startupz", tag = "service",
     responses(
         (status = 200, description = "Yes", body = StatusView),
-        (status = 503, description = "`starting`", body = ProblemView, content_type = "application/problem+json"),
     ),
     extensions(("x-curl" = json!("curl $HOST/startupz"))),
 )]
@@ -143,7 +141,6 @@ pub async fn version() -> Json<VersionView> {
     get, path = "/v1/methods", tag = "service",
     responses(
         (status = 200, description = "Every method this build knows, also those that cannot run here", body = MethodListView),
-        (status = 400, description = "`unknown_field`", body = ProblemView, content_type = "application/problem+json"),
     ),
     extensions(("x-curl" = json!("curl $HOST/v1/methods"))),
 )]
@@ -178,7 +175,6 @@ pub async fn list_problems() -> Json<ProblemKindListView> {
     params(("code" = String, Path, description = "Code of an error", example = "queue_full")),
     responses(
         (status = 200, description = "Its meaning", body = ProblemKindView),
-        (status = 404, description = "`not_found`", body = ProblemView, content_type = "application/problem+json"),
     ),
     extensions(("x-curl" = json!("curl $HOST/v1/problems/queue_full"))),
 )]

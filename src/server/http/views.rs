@@ -5,12 +5,11 @@ use super::timestamp::rfc3339;
 use crate::formats::Severity;
 use crate::jobs::options::{axis_name, skin_method_name};
 use crate::jobs::{
-    ArtifactInfo, FileInfo, Job, JobError, JobRequest, JobResult, JobState, LevelOfDetail, ModelInfo, Notice,
-    RigOptions,
+    ArtifactInfo, Asset, FileInfo, Job, JobError, JobRequest, JobResult, JobState, LevelOfDetail, ModelInfo, Notice,
+    RigOptions, asset_sha256,
 };
 use serde::Serialize;
 use serde_json::{Map, Value};
-use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::time::Duration;
 use utoipa::{IntoParams, ToSchema};
@@ -48,7 +47,13 @@ pub struct JobView {
     /// When the results go.
     #[schema(example = "2026-11-25T15:20:10.611Z", format = DateTime)]
     pub expires_at: Option<String>,
-    pub request: OptionsView,
+    pub request: RequestView,
+    /// The id that the caller gave it.
+    #[schema(example = "hero-v3")]
+    pub client_id: Option<String>,
+    /// The files as an asset, while they are kept as one.
+    #[schema(example = "ast_01jdf5fj5rfxm8s1m2q1d2zt8v")]
+    pub asset: Option<String>,
     /// The files received, the main one first.
     pub files: Vec<FileView>,
     #[schema(example = "rignet")]
@@ -70,19 +75,19 @@ pub struct JobView {
 pub struct OptionsView {
     /// A method of `GET /v1/methods`, or `auto`.
     #[param(required = false, default = "auto")]
-    #[schema(example = "auto")]
+    #[schema(example = "auto", required = false)]
     pub method: String,
     /// How many joints: 0 (few) to 1 (many). Not together with `bandwidth`.
     #[param(required = false, default = 0.5, minimum = 0, maximum = 1)]
-    #[schema(example = 0.5, minimum = 0, maximum = 1)]
+    #[schema(example = 0.5, minimum = 0, maximum = 1, required = false)]
     pub detail: Option<f64>,
     /// For experts: RigNet's mean-shift bandwidth in units of the longest side; larger means fewer joints.
     #[param(required = false, minimum = 0.005, maximum = 0.5)]
-    #[schema(example = json!(null), minimum = 0.005, maximum = 0.5)]
+    #[schema(example = json!(null), minimum = 0.005, maximum = 0.5, required = false)]
     pub bandwidth: Option<f64>,
     /// `auto`, `on` or `off`.
     #[param(required = false, default = "auto")]
-    #[schema(example = "auto")]
+    #[schema(example = "auto", required = false)]
     pub symmetry: &'static str,
     /// What weighs the vertices: `auto`, `rignet`, `geodesic_voxel` or `geodesic_heat`.
     #[param(required = false, default = "auto")]
@@ -95,28 +100,120 @@ pub struct OptionsView {
     pub skeleton: Option<String>,
     /// Joints per vertex at most.
     #[param(required = false, default = 4, minimum = 1, maximum = 8)]
-    #[schema(example = 4, minimum = 1, maximum = 8)]
+    #[schema(example = 4, minimum = 1, maximum = 8, required = false)]
     pub max_influences: usize,
     /// The same bytes for the same seed.
     #[param(required = false, default = 0, minimum = 0)]
-    #[schema(example = 0, minimum = 0)]
+    #[schema(example = 0, minimum = 0, required = false)]
     pub seed: u64,
     /// Which way is up: `auto`, `x`, `-x`, `y`, `-y`, `z` or `-z`.
     #[param(required = false, default = "auto")]
-    #[schema(example = "auto")]
+    #[schema(example = "auto", required = false)]
     pub up: &'static str,
     /// Which way the character faces, in the same words.
     #[param(required = false, default = "auto")]
-    #[schema(example = "auto")]
+    #[schema(example = "auto", required = false)]
     pub front: &'static str,
     /// For a file that has a skeleton: `reject` or `replace`.
     #[param(required = false, default = "reject")]
-    #[schema(example = "reject")]
+    #[schema(example = "reject", required = false)]
     pub existing_rig: &'static str,
     /// Files to make: `glb`, `gltf`, `rig_json`, `rignet_txt`, `preview_png`. In a query or form, separated by commas.
     #[param(required = false, style = Form, explode = false)]
-    #[schema(example = json!(["glb", "rig_json"]))]
+    #[schema(example = json!(["glb", "rig_json"]), required = false)]
     pub outputs: Vec<&'static str>,
+}
+
+/// How the job is treated.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(as = JobWishes)]
+pub struct WishesView {
+    /// What runs first when jobs wait: `low`, `normal` or `high`.
+    #[schema(example = "normal", required = false)]
+    pub priority: &'static str,
+    /// Longest run.
+    #[schema(example = 300, minimum = 1, required = false)]
+    pub timeout_seconds: u64,
+    /// How long results are kept.
+    #[schema(example = 24, minimum = 1, required = false)]
+    pub retention_hours: u64,
+    /// Words of your own, to find it by; 16 at most.
+    #[schema(example = json!({"project": "knights"}), required = false)]
+    pub labels: BTreeMap<String, String>,
+}
+
+/// The same as query parameters or fields of a form.
+#[derive(IntoParams)]
+#[into_params(parameter_in = Query)]
+pub struct WishesParameters {
+    /// What runs first when jobs wait: `low`, `normal` or `high`.
+    #[param(default = "normal", example = "normal")]
+    pub priority: Option<String>,
+    /// Longest run; at most what `GET /v1/methods` says.
+    #[param(minimum = 1, example = 120)]
+    pub timeout_seconds: Option<u64>,
+    /// How long results are kept; at most what `GET /v1/methods` says.
+    #[param(minimum = 1, example = 2)]
+    pub retention_hours: Option<u64>,
+    /// Words of your own, to find it by: `name=value,name=value`.
+    #[param(example = "project=knights")]
+    pub labels: Option<String>,
+}
+
+/// What was asked, defaults filled in.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(as = RigRequest)]
+pub struct RequestView {
+    #[serde(flatten)]
+    pub options: OptionsView,
+    #[serde(flatten)]
+    pub wishes: WishesView,
+}
+
+/// A create request in JSON: an asset, and any of the options.
+#[derive(ToSchema)]
+#[schema(as = CreateRig)]
+pub struct CreateView {
+    /// Id of an asset; or a small mesh in the request itself, as
+    /// `{"inline": {"media_type": "model/gltf-binary", "base64": "…"}}`, 4 MiB at most.
+    #[schema(value_type = String, example = "ast_01jdf5fj5rfxm8s1m2q1d2zt8v")]
+    pub asset: String,
+    #[schema(inline)]
+    pub options: OptionsView,
+}
+
+/// An upload that is kept, to be rigged more than once.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(as = Asset)]
+pub struct AssetView {
+    #[schema(example = "ast_01jdf5fj5rfxm8s1m2q1d2zt8v")]
+    pub id: String,
+    #[schema(example = "asset")]
+    pub object: &'static str,
+    /// Digest of the file sent; of the list of names and digests when there were several.
+    #[schema(example = "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08")]
+    pub sha256: String,
+    /// All files together.
+    #[schema(example = 482_113)]
+    pub bytes: u64,
+    /// The one to rig first.
+    pub files: Vec<FileView>,
+    #[schema(example = "2026-11-24T15:20:07.042Z", format = DateTime)]
+    pub created_at: String,
+    /// When it goes, unless it is used again before.
+    #[schema(example = "2026-11-25T15:20:07.042Z", format = DateTime)]
+    pub expires_at: String,
+    pub links: AssetLinksView,
+}
+
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(as = AssetLinks)]
+pub struct AssetLinksView {
+    #[schema(example = "/v1/assets/ast_01jdf5fj5rfxm8s1m2q1d2zt8v")]
+    #[serde(rename = "self")]
+    pub this: String,
+    #[schema(example = "/v1/assets/ast_01jdf5fj5rfxm8s1m2q1d2zt8v/content")]
+    pub content: String,
 }
 
 /// A file of the upload.
@@ -227,6 +324,9 @@ pub struct LinksView {
     pub this: String,
     #[schema(example = "/v1/rigs/rig_01jdf5fj63fh5ra1njpy75fmyg/artifacts")]
     pub artifacts: String,
+    /// Server-sent events: progress as it happens.
+    #[schema(example = "/v1/rigs/rig_01jdf5fj63fh5ra1njpy75fmyg/events")]
+    pub events: String,
     /// POST here; `null` once the job is over.
     #[schema(example = "/v1/rigs/rig_01jdf5fj63fh5ra1njpy75fmyg:cancel")]
     pub cancel: Option<String>,
@@ -281,11 +381,13 @@ impl From<&Job> for JobView {
             started_at: job.started_at.map(rfc3339),
             finished_at: job.finished_at.map(rfc3339),
             expires_at: job.expires_at.map(rfc3339),
-            request: (&job.request.options).into(),
+            request: RequestView { options: (&job.request.options).into(), wishes: (&*job.request).into() },
+            client_id: job.request.client_id.clone(),
+            asset: job.request.asset.map(|asset| asset.to_string()),
             files: job.request.files.iter().map(FileView::from).collect(),
             method_used: result.map(|result| result.method_used.clone()),
             provenance: ProvenanceView {
-                asset_sha256: asset_sha256(&job.request),
+                asset_sha256: hex(&asset_sha256(&job.request.files)),
                 service_version: env!("CARGO_PKG_VERSION"),
                 models: result.map(|result| models(&result.models)).unwrap_or_default(),
                 cached: job.cached,
@@ -297,6 +399,7 @@ impl From<&Job> for JobView {
             error: job.error.as_ref().map(JobErrorView::from),
             links: LinksView {
                 artifacts: format!("{path}/artifacts"),
+                events: format!("{path}/events"),
                 cancel: (!job.state.is_final()).then(|| format!("{path}:cancel")),
                 this: path,
             },
@@ -326,17 +429,6 @@ pub fn models(models: &[ModelInfo]) -> Vec<ModelView> {
             self_test: model.self_test.clone(),
         })
         .collect()
-}
-
-fn asset_sha256(request: &JobRequest) -> String {
-    if let [file] = &request.files[..] {
-        return hex(&file.sha256);
-    }
-    let mut digest = Sha256::new();
-    for file in &request.files {
-        digest.update(format!("{}  {}\n", hex(&file.sha256), file.name));
-    }
-    hex(&digest.finalize())
 }
 
 impl ArtifactView {
@@ -370,6 +462,33 @@ impl From<&RigOptions> for OptionsView {
             front: axis_name(options.front),
             existing_rig: options.existing_rig.name(),
             outputs: options.outputs.iter().map(|output| output.name()).collect(),
+        }
+    }
+}
+
+impl From<&JobRequest> for WishesView {
+    fn from(request: &JobRequest) -> Self {
+        Self {
+            priority: request.priority.name(),
+            timeout_seconds: request.timeout.as_secs(),
+            retention_hours: request.retention.as_secs().div_ceil(3600),
+            labels: request.labels.clone(),
+        }
+    }
+}
+
+impl From<&Asset> for AssetView {
+    fn from(asset: &Asset) -> Self {
+        let path = format!("/v1/assets/{}", asset.id);
+        Self {
+            id: asset.id.to_string(),
+            object: "asset",
+            sha256: hex(&asset.sha256),
+            bytes: asset.bytes(),
+            files: asset.files.iter().map(FileView::from).collect(),
+            created_at: rfc3339(asset.created_at),
+            expires_at: rfc3339(asset.expires_at),
+            links: AssetLinksView { content: format!("{path}/content"), this: path },
         }
     }
 }

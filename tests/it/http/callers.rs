@@ -74,3 +74,33 @@ async fn a_key_that_asks_too_often_is_told_when_to_come_back_and_others_are_not(
     assert_eq!(refused.refused(429, "rate_limited")["retryable"], true);
     assert_eq!(service.send(ask(&locked.key)).await.status, 200);
 }
+
+#[tokio::test]
+async fn what_belongs_to_one_caller_is_not_there_for_another() {
+    let locked = locked(QUOTA);
+    let service = &locked.service;
+    let bearer = |key: &str| format!("Bearer {key}");
+    let (mine, theirs) = (bearer(&locked.key), bearer(&locked.other));
+    let made = service.rig("", &[("authorization", &mine), ("prefer", "wait=10")], "ok").await;
+    let path = made.header("location").to_owned();
+    let get = |path: &str, bearer: &str| request("GET", path, &[("authorization", bearer)], "");
+    assert_eq!(service.send(get(&path, &mine)).await.status, 200);
+    for path in [path.clone(), format!("{path}/events"), format!("{path}/artifacts/rigged.glb")] {
+        service.send(get(&path, &theirs)).await.refused(404, "not_found");
+    }
+    assert_eq!(service.send(get("/v1/rigs", &theirs)).await.json()["data"], serde_json::json!([]));
+}
+
+#[tokio::test]
+async fn a_caller_has_so_many_unfinished_jobs_and_no_more() {
+    let locked = locked(Quota { requests_per_minute: 100, jobs: 2 });
+    let (service, bearer) = (&locked.service, format!("Bearer {}", locked.key));
+    for _ in 0..2 {
+        assert_eq!(service.rig("", &[("authorization", &bearer)], "hang").await.status, 202);
+    }
+    let refused = service.rig("", &[("authorization", &bearer)], "hang").await;
+    assert!(refused.header("retry-after").parse::<u64>().is_ok_and(|seconds| seconds >= 1));
+    refused.refused(429, "quota_exceeded");
+    let other = format!("Bearer {}", locked.other);
+    assert_eq!(service.rig("", &[("authorization", &other)], "ok").await.status, 202);
+}

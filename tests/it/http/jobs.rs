@@ -36,7 +36,7 @@ async fn a_mesh_becomes_a_job_with_a_result() {
     assert!(service.get(&path).await.header("server-timing").contains("joints;dur="));
     let url = artifact["url"].as_str().expect("a url");
     assert_eq!(service.get(url).await.bytes, glb());
-    assert_eq!(service.files(), 1, "the artifacts stay, the upload goes");
+    service.keeps(3);
 }
 
 #[tokio::test]
@@ -140,7 +140,7 @@ async fn every_failure_of_the_work_is_told_in_the_job() {
         assert!(direct.status.is_client_error() || direct.status.is_server_error());
         direct.refused(direct.status.as_u16(), code.name());
     }
-    assert_eq!(service.files(), 0, "failed jobs keep nothing");
+    service.keeps(ErrorCode::ALL.len() - 1);
 }
 
 #[tokio::test]
@@ -161,7 +161,7 @@ async fn work_that_stops_without_being_asked_or_writes_bad_names_is_our_error() 
         let job = service.finished(script).await;
         assert_eq!((&job["state"], &job["error"]["code"]), (&json!("failed"), &json!("internal")));
     }
-    assert_eq!(service.files(), 0);
+    service.keeps(2);
 }
 
 #[tokio::test]
@@ -285,7 +285,7 @@ async fn deleting_forgets_a_job_and_its_files_but_not_while_it_runs() {
         service.send(delete(path)).await.refused(404, "not_found");
     }
     service.get(&format!("{done}/artifacts")).await.refused(404, "not_found");
-    assert_eq!(service.files(), 1, "only the upload of the running job is left");
+    service.keeps(2); // the uploads, which are assets for a while
 }
 
 #[tokio::test]
@@ -297,22 +297,21 @@ async fn results_expire_by_time_and_then_are_gone() {
     assert_eq!(job["result"]["skeleton"]["joints"], 24, "what is small stays");
     service.get(&format!("{path}/artifacts")).await.refused(410, "expired");
     service.get(&format!("{path}/artifacts/rigged.glb")).await.refused(410, "expired");
-    assert_eq!(service.files(), 0);
+    service.keeps(0);
 }
 
 #[tokio::test]
-async fn the_oldest_results_make_room_for_new_ones() {
-    let service = Service::storing(2 * glb().len() as u64 + 1000, |_, _| {});
+async fn what_is_oldest_makes_room_for_new_uploads() {
+    let service = Service::storing(3_000_000, |_, _| {});
+    let script = |number: usize| format!("ok {number} {}", "x".repeat(500_000));
     let mut paths = Vec::new();
-    for _ in 0..3 {
-        let done = service.rig("", &[("prefer", "wait=10")], "ok").await;
-        assert_eq!(done.json()["state"], "succeeded");
+    for number in 0..8 {
+        let done = service.rig("", &[("prefer", "wait=10")], &script(number)).await;
+        assert_eq!(done.json()["state"], "succeeded", "{number}");
         paths.push(done.header("location").to_owned());
     }
-    let states =
-        [service.state_of(&paths[0]).await, service.state_of(&paths[1]).await, service.state_of(&paths[2]).await];
-    assert_eq!(states, ["expired", "succeeded", "succeeded"]);
-    service.rig("", &[], &format!("ok {}", "x".repeat(3 * glb().len()))).await.refused(429, "queue_full");
+    assert_eq!(service.state_of(paths.last().expect("a path")).await, "succeeded");
+    service.rig("", &[], &format!("ok {}", "x".repeat(3_100_000))).await.refused(429, "queue_full");
 }
 
 #[tokio::test]
@@ -323,7 +322,8 @@ async fn only_so_many_final_jobs_are_remembered() {
     }
     for _ in 0..500 {
         if service.get("/v1/rigs").await.json()["data"].as_array().expect("data").len() == 3 {
-            return assert_eq!(service.files(), 3);
+            // Equal jobs share their upload and both artifacts.
+            return service.keeps(3);
         }
         tokio::time::sleep(Duration::from_millis(10)).await;
     }
@@ -339,5 +339,5 @@ async fn a_check_answers_without_a_job() {
     service.send(check("fail no_geometry")).await.refused(422, "no_geometry");
     service.send(check("panic")).await.refused(500, "internal");
     assert_eq!(service.get("/v1/rigs").await.json()["data"], json!([]));
-    assert_eq!(service.files(), 0);
+    service.keeps(0);
 }

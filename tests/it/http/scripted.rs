@@ -1,7 +1,7 @@
 //! A rigger that does what the uploaded file says, and what is needed to talk to it through the router.
 //!
 //! A script is one line: `ok`, `sleep MS`, `fail CODE`, `panic`, `hang` (until cancelled), `deaf MS` (sleeps, ignoring
-//! cancellation), `nan` or `names` (a file with a bad name).
+//! cancellation), `eat MIB` (holds memory until cancelled) or `names` (a file with a bad name).
 
 use axum::Router;
 use axum::body::Body;
@@ -69,6 +69,17 @@ impl Scripted {
                 sleep(time);
                 Ok(())
             }
+            "eat" => {
+                let mib: usize = value.parse().unwrap_or(0);
+                // Written to, so that it is there.
+                let eaten = vec![1_u8; mib << 20];
+                for _ in 0..1000 {
+                    watch.check()?;
+                    sleep(Duration::from_millis(10));
+                }
+                assert!(eaten.iter().step_by(4096).all(|byte| *byte == 1));
+                Ok(())
+            }
             "panic" => panic!("secret internals"),
             "fail" => {
                 let code = ErrorCode::ALL.into_iter().find(|code| code.name() == value).expect("a code");
@@ -100,10 +111,12 @@ impl Rigger for Scripted {
         acted?;
         watch.enter(Stage::Export);
         let name = if script.starts_with("names") { "../rigged.glb" } else { "rigged.glb" };
+        // `ok N` makes a file of its own; every other script, the same one.
+        let own = script.strip_prefix("ok ").unwrap_or_default();
         let artifact = |name: &str, media_type, bytes| Artifact { name: name.to_owned(), media_type, bytes };
         Ok(Outcome {
             artifacts: vec![
-                artifact(name, "model/gltf-binary", glb()),
+                artifact(name, "model/gltf-binary", [glb(), own.as_bytes().to_vec()].concat()),
                 artifact("rigged.rig.json", "application/json", b"{}".to_vec()),
             ],
             report: Map::from_iter([("skeleton".to_owned(), json!({"joints": 24}))]),
@@ -182,9 +195,9 @@ impl Service {
         self.send(request("GET", path, &[], "")).await
     }
 
-    /// Posts a script as the mesh.
+    /// Posts a script as the mesh, to be worked on even if an equal one was.
     pub async fn rig(&self, query: &str, headers: &[(&str, &str)], script: &str) -> Answer {
-        let mut fields = vec![("content-type", "model/obj")];
+        let mut fields = vec![("content-type", "model/obj"), ("cache-control", "no-cache")];
         fields.extend(headers);
         self.send(request("POST", &format!("/v1/rigs{query}"), &fields, script)).await
     }
@@ -212,9 +225,22 @@ impl Service {
         panic!("{path} did not become {state}: {}", self.get(path).await.text());
     }
 
-    /// Files in the data folder, but for its lock.
+    /// Asserts that `count` uploads and artifacts are in the data folder, after a moment at most.
+    #[track_caller]
+    pub fn keeps(&self, count: usize) {
+        for _ in 0..200 {
+            if self.files() == count {
+                return;
+            }
+            // Blocks this test alone: the jobs have threads of their own.
+            sleep(Duration::from_millis(10));
+        }
+        assert_eq!(self.files(), count);
+    }
+
+    /// Uploads and artifacts in the data folder.
     pub fn files(&self) -> usize {
-        let bundles = ["incoming", "bundles"].map(|name| self.folder.path().join(name));
+        let bundles = ["incoming", "blobs"].map(|name| self.folder.path().join(name));
         bundles.iter().map(|path| std::fs::read_dir(path).expect("folder").count()).sum()
     }
 }

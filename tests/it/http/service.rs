@@ -3,6 +3,7 @@
 use super::scripted::{Service, request};
 use rigsmith::jobs::OptionsReader;
 use rigsmith::server::http::error::Code;
+use rigsmith::server::http::wishes::JOB_FIELDS;
 use serde_json::{Value, json};
 use std::collections::BTreeSet;
 
@@ -81,6 +82,14 @@ async fn the_description_is_whole() {
         for (verb, operation) in operations.as_object().expect("operations") {
             assert!(operation["summary"].is_string(), "{verb} {path} has no summary");
             assert!(operation["x-curl"].is_string(), "{verb} {path} has no example");
+            for (status, response) in operation["responses"].as_object().expect("responses") {
+                let refuses = status.starts_with(['4', '5']);
+                assert_eq!(
+                    refuses,
+                    response["content"]["application/problem+json"].is_object(),
+                    "{verb} {path} {status}"
+                );
+            }
         }
     }
 }
@@ -105,7 +114,7 @@ async fn the_description_names_every_option() {
         .filter(|p| p["in"] == "query" && p["name"] != "file_name")
         .filter_map(|p| p["name"].as_str())
         .collect();
-    assert_eq!(described, OptionsReader::FIELDS.iter().copied().collect());
+    assert_eq!(described, OptionsReader::FIELDS.iter().chain(JOB_FIELDS).copied().collect());
     assert!(parameters.iter().all(|parameter| parameter["required"] != true), "no option is required");
 }
 

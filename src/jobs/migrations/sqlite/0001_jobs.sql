@@ -9,13 +9,15 @@ CREATE TABLE blobs (
     created_at INTEGER NOT NULL
 ) STRICT;
 
--- Uploads that outlive one request. `identity` is the digest of the files and of what their names decide.
+-- Uploads that outlive one request. An upload that came with its job lives as long as a job needs it; one that was sent
+-- as an asset (`explicit`) lives until it expires. `identity` is the digest of the files and of what their names decide.
 CREATE TABLE assets (
     id           BLOB    NOT NULL PRIMARY KEY,
     caller       TEXT    NOT NULL,
     identity     BLOB    NOT NULL,
     files        TEXT    NOT NULL, -- JSON: name, bytes and sha256 of each, the main file first
     memory_bytes INTEGER NOT NULL, -- what rigging it is expected to need
+    explicit     INTEGER NOT NULL,
     created_at   INTEGER NOT NULL,
     used_at      INTEGER NOT NULL,
     expires_at   INTEGER NOT NULL,
@@ -70,6 +72,7 @@ CREATE TABLE jobs (
     error            TEXT  -- JSON
 ) STRICT;
 CREATE UNIQUE INDEX jobs_by_client_id ON jobs (caller, client_id) WHERE client_id IS NOT NULL;
+CREATE INDEX jobs_by_asset ON jobs (asset) WHERE asset IS NOT NULL;
 CREATE INDEX jobs_by_caller ON jobs (caller, id);
 CREATE INDEX jobs_waiting ON jobs (priority, id) WHERE state = 'queued';
 CREATE INDEX jobs_running ON jobs (lease_until) WHERE state = 'running';

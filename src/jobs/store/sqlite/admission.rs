@@ -51,8 +51,8 @@ pub async fn submit(
     }
     let (files, mut kept) = match (known, &new.files) {
         (None, NewFiles::Received { files, memory_bytes }) => {
-            let until = now.after(new.asset_retention);
-            let put = keep_files(connection, &new.caller, files, *memory_bytes, now, until).await?;
+            let upload = UploadToKeep { files, memory_bytes: *memory_bytes, explicit: false };
+            let put = keep_files(connection, &new.caller, upload, now, now.after(new.asset_retention)).await?;
             (Files { infos: put.asset.files, asset: Some(put.asset.id), memory_bytes: *memory_bytes }, put.kept)
         }
         (Some(files), _) => {
@@ -265,15 +265,25 @@ pub struct Put {
     pub kept: Vec<String>,
 }
 
+/// Files to keep as an asset.
+#[derive(Clone, Copy)]
+pub struct UploadToKeep<'a> {
+    /// The main one first.
+    pub files: &'a [NewBlob],
+    pub memory_bytes: u64,
+    /// Sent as an asset, rather than with a job.
+    pub explicit: bool,
+}
+
 /// Keeps files as an asset of `caller`, or finds them.
 pub async fn keep_files(
     connection: &mut SqliteConnection,
     caller: &Caller,
-    files: &[NewBlob],
-    memory_bytes: u64,
+    upload: UploadToKeep<'_>,
     now: Timestamp,
     expires_at: Timestamp,
 ) -> Result<Put, StoreFailure> {
+    let UploadToKeep { files, memory_bytes, explicit } = upload;
     let identity = identity(files.iter().map(|file| (file.name.as_str(), &file.sha256)));
     let known: Option<Vec<u8>> = sqlx::query_scalar("SELECT id FROM assets WHERE caller = ? AND identity = ?")
         .bind(caller.name())
@@ -283,6 +293,11 @@ pub async fn keep_files(
     if let Some(id) = known {
         let id = AssetId::from_bytes(rows::bytes(&id)?);
         touch(connection, Some(id), now, expires_at).await?;
+        sqlx::query("UPDATE assets SET explicit = max(explicit, ?) WHERE id = ?")
+            .bind(i64::from(explicit))
+            .bind(id.to_bytes().to_vec())
+            .execute(&mut *connection)
+            .await?;
         let found = asset(connection, caller, id).await?;
         let (asset, _) = found.ok_or_else(|| StoreFailure::new(&"an asset is not there"))?;
         return Ok(Put { asset, created: false, kept: Vec::new() });
@@ -292,14 +307,15 @@ pub async fn keep_files(
     let info = |file: &NewBlob| FileInfo { name: file.name.clone(), bytes: file.bytes, sha256: file.sha256 };
     let infos: Vec<FileInfo> = files.iter().map(info).collect();
     sqlx::query(
-        "INSERT INTO assets (id, caller, identity, files, memory_bytes, created_at, used_at, expires_at) \
-         VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+        "INSERT INTO assets (id, caller, identity, files, memory_bytes, explicit, created_at, used_at, expires_at) \
+         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)",
     )
     .bind(id.to_bytes().to_vec())
     .bind(caller.name())
     .bind(identity.to_vec())
     .bind(codec::files(&infos).to_string())
     .bind(int(memory_bytes))
+    .bind(i64::from(explicit))
     .bind(now.0)
     .bind(now.0)
     .bind(expires_at.0)

@@ -219,8 +219,8 @@ impl JobStore for SqliteStore {
     ) -> Result<(Asset, bool, Vec<String>), StoreFailure> {
         let mut transaction = self.begin().await?;
         let now = self.now();
-        let put =
-            admission::keep_files(&mut transaction, caller, files, memory_bytes, now, now.after(retention)).await?;
+        let upload = admission::UploadToKeep { files, memory_bytes, explicit: true };
+        let put = admission::keep_files(&mut transaction, caller, upload, now, now.after(retention)).await?;
         transaction.commit().await?;
         Ok((put.asset, put.created, put.kept))
     }
@@ -245,7 +245,10 @@ impl JobStore for SqliteStore {
     }
 
     async fn collect(&self) -> Result<Vec<BlobPlace>, StoreFailure> {
-        upkeep::collect(&self.writer).await
+        let mut transaction = self.begin().await?;
+        let forgotten = upkeep::collect(&mut transaction).await?;
+        transaction.commit().await?;
+        Ok(forgotten)
     }
 
     async fn locations(&self) -> Result<BTreeSet<String>, StoreFailure> {

@@ -43,7 +43,7 @@ pub async fn sweep(connection: &mut SqliteConnection, memory: Memory, now: Times
     let assets = sqlx::query("DELETE FROM assets WHERE expires_at <= ?").bind(now.0).execute(&mut *connection).await?;
     sqlx::query("DELETE FROM idempotency WHERE expires_at <= ?").bind(now.0).execute(&mut *connection).await?;
     let forgotten = forget(connection, memory, now).await?;
-    swept.freed = !expired.is_empty() || assets.rows_affected() > 0 || forgotten > 0;
+    swept.freed |= !expired.is_empty() || assets.rows_affected() > 0 || forgotten > 0;
     Ok(swept)
 }
 
@@ -73,6 +73,7 @@ pub async fn lose(
             swept.requeued += 1;
         }
         swept.changed.push(id);
+        swept.freed = true;
     }
     Ok(())
 }
@@ -97,6 +98,7 @@ async fn give_up_waiting(
             .hint("send it again with a later deadline");
         end(connection, id, JobState::Failed, Some(&error), now).await?;
         swept.changed.push(id);
+        swept.freed = true;
     }
     Ok(())
 }
@@ -140,14 +142,21 @@ pub async fn expire_oldest(connection: &mut SqliteConnection) -> Result<bool, St
     Ok(true)
 }
 
-/// Forgets blobs that nothing needs: no asset, no job that waits or runs, and no result that is kept.
-pub async fn collect(writer: &SqlitePool) -> Result<Vec<BlobPlace>, StoreFailure> {
+/// Forgets blobs that nothing needs: no asset, no job that waits or runs, and no result that is kept. An upload that
+/// came with its job is needed as long as such a job is there.
+pub async fn collect(connection: &mut SqliteConnection) -> Result<Vec<BlobPlace>, StoreFailure> {
+    sqlx::query(
+        "DELETE FROM assets WHERE explicit = 0 AND NOT EXISTS (SELECT 1 FROM jobs WHERE jobs.asset = assets.id \
+         AND jobs.state IN ('queued', 'running', 'succeeded'))",
+    )
+    .execute(&mut *connection)
+    .await?;
     let forgotten = sqlx::query(
         "DELETE FROM blobs WHERE NOT EXISTS (SELECT 1 FROM asset_blobs a WHERE a.sha256 = blobs.sha256) \
          AND NOT EXISTS (SELECT 1 FROM job_blobs b JOIN jobs j ON j.id = b.job \
          WHERE b.sha256 = blobs.sha256 AND j.state IN ('queued', 'running', 'succeeded')) RETURNING location, bytes",
     )
-    .fetch_all(writer)
+    .fetch_all(connection)
     .await?;
     forgotten.iter().map(rows::place).collect()
 }

@@ -1,0 +1,46 @@
+//! The examples of the OpenAPI document, run with curl against a service on a socket.
+
+use super::scripted::Service;
+use super::socket::start;
+use serde_json::Value;
+use std::process::Command;
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn every_example_of_the_description_answers_well() {
+    let service = Service::with(|settings, _| settings.workers = 4);
+    let running = start(&service).await;
+    let folder = tempfile::tempdir().expect("folder");
+    for name in ["hero.glb", "hero.obj", "hero.mtl", "skin.png"] {
+        std::fs::write(folder.path().join(name), "ok").expect("writes");
+    }
+    let document = service.get("/v1/openapi.json").await.json();
+    let mut ran = 0;
+    for (path, operations) in document["paths"].as_object().expect("paths") {
+        for (verb, operation) in operations.as_object().expect("operations") {
+            let example = operation["x-curl"].as_str().unwrap_or_else(|| panic!("{verb} {path} has no example"));
+            let script = if path.ends_with(":cancel") { "hang" } else { "ok" };
+            let job = service.rig("", &[("prefer", if script == "ok" { "wait=10" } else { "wait=0" })], script).await;
+            let asset = service
+                .send(super::scripted::request("POST", "/v1/assets", &[("content-type", "model/obj")], "ok"))
+                .await;
+            let id = |answer: &Value| answer["id"].as_str().expect("an id").to_owned();
+            let output = Command::new("bash")
+                .args([
+                    "-euo",
+                    "pipefail",
+                    "-c",
+                    &format!("curl() {{ command curl -sS --fail-with-body \"$@\"; }}\n{example}"),
+                ])
+                .current_dir(folder.path())
+                .env("HOST", &running.base)
+                .env("ID", id(&job.json()))
+                .env("ASSET", id(&asset.json()))
+                .output()
+                .expect("bash");
+            let said = String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr);
+            assert!(output.status.success(), "{verb} {path}\n{example}\n{said}");
+            ran += 1;
+        }
+    }
+    assert!(ran >= 20, "{ran} examples");
+}

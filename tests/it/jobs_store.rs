@@ -1,0 +1,68 @@
+//! The rules of the job store, tried on every engine. `jobs_store/rules*.rs` holds the rules; an engine is a bench of its
+//! own in `jobs_store/engines.rs` and one line below.
+
+#[path = "jobs_store/engines.rs"]
+mod engines;
+#[path = "jobs_store/keeping.rs"]
+mod keeping;
+#[path = "jobs_store/sqlite_file.rs"]
+mod sqlite_file;
+#[path = "jobs_store/taking.rs"]
+mod taking;
+#[path = "jobs_store/telling.rs"]
+mod telling;
+
+/// Every rule as a test of `$engine`.
+macro_rules! rules {
+    ($engine:ident: $($room:ident { $($rule:ident)* })*) => {
+        mod $engine {
+            $($(
+                #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+                async fn $rule() {
+                    super::$room::$rule(&super::engines::$engine().await).await;
+                }
+            )*)*
+        }
+    };
+}
+
+macro_rules! all_rules_on {
+    ($engine:ident) => {
+        rules! { $engine:
+            taking {
+                a_job_is_taken_by_one_worker
+                a_late_result_is_refused_by_its_attempt
+                a_lease_lasts_while_its_worker_is_heard_of
+                a_lost_worker_costs_one_repeat_and_the_second_one_the_job
+                a_job_given_back_is_nobodys_loss
+                all_jobs_of_a_dead_process_wait_again_at_once
+                urgent_jobs_go_first_and_callers_take_turns
+                a_large_job_lets_small_ones_pass_but_not_for_ever
+                two_processes_share_the_work_without_doing_it_twice
+                stepping_the_clock_breaks_no_rule
+            }
+            keeping {
+                canceling_ends_a_waiting_job_and_asks_a_running_one
+                a_deadline_ends_a_waiting_job
+                final_states_never_change
+                results_end_by_time_and_their_files_are_collected
+                what_gives_nothing_keeps_nothing
+                the_oldest_results_and_assets_go_first
+                old_records_and_surplus_ones_are_forgotten
+                equal_files_of_a_caller_are_one_asset
+            }
+            telling {
+                an_equal_job_succeeds_at_once_with_the_earlier_result
+                an_idempotency_key_stands_for_one_request_for_a_day
+                a_callers_own_id_stands_for_one_job
+                answers_to_other_requests_are_given_again
+                no_more_jobs_wait_than_may
+                events_have_numbers_without_gaps_and_end_with_done
+                progress_never_falls
+                lists_are_newest_first_filtered_and_each_callers_own
+            }
+        }
+    };
+}
+
+all_rules_on!(sqlite);
