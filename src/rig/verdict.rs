@@ -184,8 +184,7 @@ fn roughness(ring: &Neighbors, skin: &SkinWeights) -> f64 {
             let weight_of = |row: &[super::Influence], joint| {
                 row.iter().find(|part| part.joint == joint).map_or(0.0, |part| f64::from(part.weight))
             };
-            let shared: f64 =
-                row.iter().map(|part| f64::from(part.weight).min(weight_of(other, part.joint))).sum();
+            let shared: f64 = row.iter().map(|part| f64::from(part.weight).min(weight_of(other, part.joint))).sum();
             total += (1.0 - shared).clamp(0.0, 1.0);
             edges += 1;
         }

@@ -89,7 +89,7 @@ pub struct OptionsView {
     #[param(required = false, default = "auto")]
     #[schema(example = "auto", required = false)]
     pub symmetry: &'static str,
-    /// What weighs the vertices: `auto`, `rignet` or `geodesic_voxel`.
+    /// What weighs the vertices: `auto`, `rignet`, `geodesic_voxel` or `geodesic_heat`.
     #[param(required = false, default = "auto")]
     #[schema(example = "auto")]
     pub skin_method: &'static str,
