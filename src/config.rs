@@ -71,7 +71,7 @@ pub struct ServeConfig {
     #[arg(long, env = "RIGSMITH_DATA", value_name = "DIR", default_value = "data")]
     pub data: PathBuf,
 
-    /// Jobs that run at the same time
+    /// Jobs that run at the same time; no more than there are cores
     #[arg(long, env = "RIGSMITH_WORKERS", value_name = "N", default_value_t = 1, value_parser = at_least_one)]
     pub workers: usize,
 
@@ -110,6 +110,11 @@ pub struct ServeConfig {
     /// Longest time in seconds that a caller may take no byte of an answer
     #[arg(long, env = "RIGSMITH_DOWNLOAD_PAUSE_SECONDS", value_name = "SECONDS", default_value_t = 60, value_parser = clap::value_parser!(u64).range(1..))]
     pub download_pause_seconds: u64,
+
+    /// Most MiB of memory that all running jobs together may take; by default 2048 for each worker, and no more than three
+    /// quarters of what there is
+    #[arg(long, env = "RIGSMITH_MEMORY_MIB", value_name = "MIB", value_parser = clap::value_parser!(u64).range(256..))]
+    pub memory_mib: Option<u64>,
 
     /// Longest run of one job in seconds
     #[arg(long, env = "RIGSMITH_JOB_SECONDS", value_name = "SECONDS", default_value_t = 300)]

@@ -15,6 +15,7 @@ mod skin;
 
 use clap::{Args, CommandFactory, Parser, Subcommand};
 use rigsmith::config::EngineConfig;
+use rigsmith::jobs::cores;
 use rigsmith::pipelines::LoadOptions;
 use std::process::ExitCode;
 
@@ -69,10 +70,10 @@ struct EngineOptions {
 }
 
 impl EngineOptions {
-    /// Workers × threads stay within the cores, unless the caller says otherwise.
+    /// Workers × threads stay within the cores.
     fn load_options(&self, workers: usize) -> LoadOptions {
-        let cores = std::thread::available_parallelism().map_or(1, usize::from);
-        let threads = self.config.threads.map_or((cores / workers.max(1)).max(1), usize::from);
+        let asked = self.config.threads.map(usize::from);
+        let threads = cores::share(cores::available(), workers, asked).threads;
         // Fails only when the pool stands already, which a second engine of one process shares.
         let _ = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global();
         LoadOptions { onnxruntime: self.config.onnxruntime.clone(), models: self.config.models.clone(), threads }

@@ -1,5 +1,5 @@
 //! Skin weights for the bones of a skeleton: the last step of every method, and the only one for a skeleton that is given.
-//! RigNet [Xu et al. 2020], Section 4.3; geodesic voxel binding [Dionne and de Lasa 2013].
+//! RigNet [Xu et al. 2020], Section 4.3; geodesic voxel binding [Dionne and de Lasa 2013]; bone heat [Baran and Popović 2007].
 //!
 //! | in         | space  | meaning                                                  |
 //! |------------|--------|----------------------------------------------------------|
@@ -20,6 +20,7 @@ use crate::nets::rignet::{RigNets, ShapeGraph};
 use crate::rig::bone_features::{BONE_CHANNELS, NEAREST_BONES, bone_features};
 use crate::rig::bone_weights::{BoneWeights, PRUNE_SHARE, SMOOTHINGS, TRACE_SHARE};
 use crate::rig::distance_falloff::{FALLOFF, VOXEL_SMOOTHINGS, VOXEL_TRACE_SHARE, falloff_weights};
+use crate::rig::heat_weights::{HEAT, HEAT_TRACE_SHARE, heat_weights};
 use crate::rig::skeleton::Bone;
 use crate::rig::verdict::{self, Quality};
 use crate::rig::{Rig, Skeleton, SkinWeights};
@@ -48,7 +49,7 @@ pub(super) fn skin(
     watch.enter(Stage::Skin)?;
     let weigher = match (nets, &graph) {
         (Some(nets), Some(graph)) => Weigher::new(options.skin_method, nets, graph),
-        _ => Weigher::GeodesicVoxel,
+        _ => Weigher::Voxels(options.skin_method),
     };
     let (skin, vertices_by_nearest_bone) = weigh(&shape, &normalised, weigher, options.max_influences, watch)?;
 
@@ -90,15 +91,19 @@ fn far_outside(shape: &Shape, skeleton: &Skeleton) -> Vec<usize> {
 /// What answers for the weights.
 #[derive(Clone, Copy)]
 pub(super) enum Weigher<'a> {
-    RigNet { nets: &'a RigNets, graph: &'a ShapeGraph },
-    GeodesicVoxel,
+    RigNet {
+        nets: &'a RigNets,
+        graph: &'a ShapeGraph,
+    },
+    /// One of the methods that ask no network.
+    Voxels(SkinMethod),
 }
 
 impl<'a> Weigher<'a> {
     pub(super) fn new(method: SkinMethod, nets: &'a RigNets, graph: &'a ShapeGraph) -> Self {
         match method {
             SkinMethod::RigNet => Self::RigNet { nets, graph },
-            SkinMethod::GeodesicVoxel => Self::GeodesicVoxel,
+            SkinMethod::GeodesicVoxel | SkinMethod::GeodesicHeat => Self::Voxels(method),
         }
     }
 }
@@ -116,7 +121,7 @@ pub(super) fn weigh(
     let segments: Vec<Segment> = bones.iter().map(|bone| (bone.start, bone.end)).collect();
     let (weights, nearest) = match weigher {
         Weigher::RigNet { nets, graph } => by_network(shape, graph, nets, &bones, &segments, watch)?,
-        Weigher::GeodesicVoxel => by_voxels(shape, skeleton, &bones, watch)?,
+        Weigher::Voxels(method) => by_voxels(shape, skeleton, &bones, method, watch)?,
     };
     Ok(SkinWeights::from_bones(&weights, &bones, &nearest, max_influences))
 }
@@ -146,11 +151,12 @@ fn by_network(
     Ok((smoothed(weights, shape, SMOOTHINGS).pruned(TRACE_SHARE), features.nearest))
 }
 
-/// Distances through voxels, and their falloff. Second: the nearest bones `[V, K]`.
+/// Distances through voxels, and their falloff or the heat over them. Second: the nearest bones `[V, K]`.
 fn by_voxels(
     shape: &Shape,
     skeleton: &Skeleton,
     bones: &[Bone],
+    method: SkinMethod,
     watch: Watch,
 ) -> Result<(BoneWeights, Vec<u32>), RigError> {
     let segments: Vec<Segment> = bones.iter().map(|bone| (bone.start, reach_of(bone, skeleton, shape))).collect();
@@ -158,8 +164,13 @@ fn by_voxels(
     watch.cancellation.check()?;
     let distances = binding.distances(&shape.mesh.positions);
     watch.cancellation.check()?;
-    let weights = falloff_weights(&distances, bones, &FALLOFF);
-    let weights = smoothed(weights, shape, VOXEL_SMOOTHINGS).pruned(VOXEL_TRACE_SHARE);
+    let weights = match method {
+        SkinMethod::GeodesicHeat => heat_weights(&shape.mesh, &distances, bones, HEAT).pruned(HEAT_TRACE_SHARE),
+        _ => {
+            let weights = falloff_weights(&distances, bones, &FALLOFF);
+            smoothed(weights, shape, VOXEL_SMOOTHINGS).pruned(VOXEL_TRACE_SHARE)
+        }
+    };
     Ok((weights, bone_features(&distances, bones).nearest))
 }
 

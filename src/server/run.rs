@@ -3,7 +3,7 @@
 use super::keys::{Keys, KeysError, Quota};
 use super::{App, ConnectionLimits, Limits, app, connections, metrics};
 use crate::config::ServeConfig;
-use crate::jobs::{Jobs, Rigger, Settings, StartError};
+use crate::jobs::{Jobs, Rigger, Settings, StartError, cores};
 use crate::storage::{Store, StoreError};
 use crate::telemetry;
 use std::io;
@@ -68,7 +68,8 @@ pub async fn serve(
     let listener = bind(config.listen).await?;
     let store = Store::open(&config.data, config.keep_mib.saturating_mul(MIB))?;
     let settings = Settings {
-        workers: config.workers,
+        workers: workers(config.workers),
+        memory_bytes_max: config.memory_mib.map(|mib| mib.saturating_mul(MIB)),
         queue_max: config.queue,
         job_time_max: Duration::from_secs(config.job_seconds),
         keep_time: Duration::from_secs(config.keep_hours.saturating_mul(3600)),
@@ -85,6 +86,15 @@ pub async fn serve(
     background.iter().for_each(JoinHandle::abort);
     jobs.close().await;
     Ok(ended?)
+}
+
+/// The workers that the cores allow.
+fn workers(asked: usize) -> usize {
+    let workers = cores::share(cores::available(), asked, None).workers;
+    if workers < asked {
+        tracing::warn!(asked, workers, "fewer workers than asked for: there are no more cores");
+    }
+    workers
 }
 
 /// Reads the keys, or makes sure that none are needed.

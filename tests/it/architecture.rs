@@ -13,7 +13,7 @@ const MAY_IMPORT: &[(&str, &[&str])] = &[
     ("pipelines", &["cancellation", "mesh", "geometry", "nets", "rig"]),
     ("formats", &["mesh", "rig"]),
     ("storage", &[]),
-    ("jobs", &["cancellation", "formats", "pipelines", "storage"]),
+    ("jobs", &["cancellation", "formats", "pipelines", "rig", "storage"]),
     ("server", &["cancellation", "formats", "jobs", "pipelines", "storage"]),
 ];
 

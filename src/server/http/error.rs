@@ -35,6 +35,7 @@ pub enum Code {
     QuotaExceeded,
     IdempotencyMismatch,
     IdempotencyInProgress,
+    StoreUnavailable,
     Starting,
 }
 
@@ -49,7 +50,7 @@ pub struct Facts {
 impl Code {
     /// All codes, for the pages that explain them.
     pub fn all() -> impl Iterator<Item = Code> {
-        const OF_REQUESTS: [Code; 20] = [
+        const OF_REQUESTS: [Code; 21] = [
             Code::InvalidJson,
             Code::UnknownField,
             Code::InvalidParameter,
@@ -69,6 +70,7 @@ impl Code {
             Code::QuotaExceeded,
             Code::IdempotencyMismatch,
             Code::IdempotencyInProgress,
+            Code::StoreUnavailable,
             Code::Starting,
         ];
         OF_REQUESTS.into_iter().chain(ErrorCode::ALL.into_iter().map(Code::Work))
@@ -99,6 +101,7 @@ impl Code {
             Code::QuotaExceeded => ("quota_exceeded", Status::TOO_MANY_REQUESTS, "Your quota is used up", "You have as many unfinished jobs as one caller may have."),
             Code::IdempotencyMismatch => ("idempotency_mismatch", Status::UNPROCESSABLE_ENTITY, "The key belongs to another request", "Within 24 hours an Idempotency-Key stands for one request; this one differs from it."),
             Code::IdempotencyInProgress => ("idempotency_in_progress", Status::CONFLICT, "Still being answered", "The first request with this Idempotency-Key has no answer yet."),
+            Code::StoreUnavailable => ("store_unavailable", Status::SERVICE_UNAVAILABLE, "Jobs cannot be written down", "The disk of the service is full or cannot be written. What was accepted before is kept."),
             Code::Starting => ("starting", Status::SERVICE_UNAVAILABLE, "The service is starting", "The networks are being loaded and tested."),
             Code::Work(Work::TooLarge) => ("too_large", Status::PAYLOAD_TOO_LARGE, "The upload is too large", "The upload has more bytes than the service takes."),
             Code::Work(Work::TooManyFaces) => ("too_many_faces", Status::PAYLOAD_TOO_LARGE, "Too many faces", "The mesh has more faces than the service takes."),
@@ -272,6 +275,7 @@ impl ApiError {
                     | Code::QuotaExceeded
                     | Code::RateLimited
                     | Code::IdempotencyInProgress
+                    | Code::StoreUnavailable
                     | Code::Starting
                     | Code::UploadTimeout
                     | Code::UploadIncomplete
@@ -337,7 +341,9 @@ impl From<Refusal> for ApiError {
 
 impl From<StoreFailure> for ApiError {
     fn from(error: StoreFailure) -> Self {
-        Self::internal(&error)
+        tracing::error!(%error, "a request failed");
+        Self::new(Code::StoreUnavailable, "the service cannot read or write its jobs now")
+            .hint("send it again; the operator sees the cause in the log")
     }
 }
 

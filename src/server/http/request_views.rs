@@ -27,14 +27,14 @@ pub struct OptionsView {
     #[param(required = false, default = "auto")]
     #[schema(example = "auto", required = false)]
     pub symmetry: &'static str,
-    /// What weighs the vertices: `auto`, `rignet` or `geodesic_voxel`.
+    /// What weighs the vertices: `auto`, `rignet`, `geodesic_voxel` or `geodesic_heat`.
     #[param(required = false, default = "auto")]
     #[schema(example = "auto")]
     pub skin_method: &'static str,
     /// A skeleton to make weights for, instead of making one: the text of a `rig.json`, of which `format` and `joints` are
-    /// read; in the JSON part `options` also as an object. It stays as it is. A job shows how many joints it has.
+    /// read; in JSON also as an object. It stays as it is. A job shows how many joints it has.
     #[param(required = false)]
-    #[schema(example = json!(null))]
+    #[schema(example = json!(null), required = false)]
     pub skeleton: Option<String>,
     /// Joints per vertex at most.
     #[param(required = false, default = 4, minimum = 1, maximum = 8)]

@@ -161,11 +161,14 @@ async fn reskin_rig(app: &App, identity: Identity, id: &str, request: Request) -
     let mut wishes = WishesReader::default();
     let asked = query_pairs(request.uri())?;
     asked.iter().for_each(|(name, value)| wishes.text(name, value));
+    if asked.iter().any(|(name, _)| name == "skeleton") {
+        return Err(ApiError::field("skeleton", "is the body of this request"));
+    }
     let levels = ["detail", "bandwidth"];
     for (name, value) in job.request.options.to_json().as_object().into_iter().flatten() {
         // Detail and bandwidth stand for each other: one that is asked for replaces either.
         let replaced = |asked: &str| asked == name || (levels.contains(&asked) && levels.contains(&name.as_str()));
-        if !asked.iter().any(|(asked, _)| replaced(asked)) {
+        if name != "skeleton" && !asked.iter().any(|(asked, _)| replaced(asked)) {
             wishes.json(name, value);
         }
     }

@@ -26,7 +26,7 @@ use crate::storage::NewBlob;
 use async_trait::async_trait;
 use sqlx::migrate::Migrator;
 use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePool, SqlitePoolOptions, SqliteSynchronous};
-use sqlx::{Sqlite, SqliteConnection, Transaction};
+use sqlx::{Connection, Sqlite, SqliteConnection, Transaction};
 use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::Arc;
@@ -39,6 +39,8 @@ pub static MIGRATOR: Migrator = sqlx::migrate!("src/jobs/migrations/sqlite");
 const READERS: u32 = 4;
 /// How long a connection waits for another process that writes.
 const BUSY_TIME: Duration = Duration::from_secs(5);
+/// How long a caller waits for a connection before it is told that the store does not answer.
+const ACQUIRE_TIME: Duration = Duration::from_secs(10);
 
 /// The store. See the module.
 pub struct SqliteStore {
@@ -64,8 +66,19 @@ impl SqliteStore {
             .synchronous(SqliteSynchronous::Full)
             .foreign_keys(true)
             .busy_timeout(BUSY_TIME);
-        let pool = |connections| SqlitePoolOptions::new().max_connections(connections).idle_timeout(None);
-        let writer = pool(1).max_lifetime(None).connect_with(options.clone()).await?;
+        let pool = |connections| {
+            SqlitePoolOptions::new().max_connections(connections).acquire_timeout(ACQUIRE_TIME).idle_timeout(None)
+        };
+        // A commit that failed, as on a full disk, leaves the connection with a transaction that neither it nor SQLite can
+        // end any more: such a connection is closed, and the next writer gets a new one.
+        let writer = pool(1).max_lifetime(None).after_release(|connection, _| {
+            Box::pin(async move {
+                // Waits for a rollback that is under way.
+                connection.ping().await?;
+                Ok(!connection.is_in_transaction())
+            })
+        });
+        let writer = writer.connect_with(options.clone()).await?;
         MIGRATOR.run(&writer).await.map_err(|error| StoreFailure::new(&error))?;
         let readers = pool(READERS).max_lifetime(None).connect_with(options).await?;
         Ok(Self { writer, readers, clock, lease })
