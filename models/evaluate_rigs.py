@@ -119,7 +119,7 @@ class Worker:
         result, made, weights = measured(rig, self.setting())
         ours, name = result.figures["joints"]["rigsmith"], result.meta["name"]
         caption = (f"{name} ({result.meta['category']})  IoU {ours['iou']:.2f}  CD-J2J {100 * ours['cd_j2j']:.1f}%  "
-                   f"{len(made.joints)} joints for {len(rig.joints)}  skin L1 {result.figures['skin']['rignet']['l1']:.2f}")
+                   f"{len(made.joints)} joints for {len(rig.joints)}  skin L1 {result.figures['skin']['geodesic_heat']['l1']:.2f}")
         parents = rig.parents.astype(int)
         row = pictures.row(rig.vertices.astype(float), rig.faces, (rig.joints.astype(float), parents, rig.weights),
                            (made.joints, made.parents), weights, caption)

@@ -29,6 +29,14 @@ pub struct RigFile {
     pub report: Value,
 }
 
+impl RigFile {
+    /// The rig of a mesh whose parts are those of the file, in the same order.
+    pub fn into_rig(self) -> Rig {
+        let rows = self.skins.into_iter().flat_map(|skin| skin.weights.rows).collect();
+        Rig { skeleton: self.skeleton, skin: SkinWeights { rows } }
+    }
+}
+
 /// Skin weights of one part.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PartSkin {

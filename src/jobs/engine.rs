@@ -4,11 +4,13 @@ use super::failure::{ErrorCode, JobError};
 use super::options::{Output, RigOptions};
 use super::perform::{Artifact, MethodInfo, Outcome, Readiness, RigRequest, Rigger, Watch};
 use super::report;
+use super::skeleton::read_skeleton;
 use super::stage::Stage;
 use crate::formats::gltf::{EncodeOptions, JointNames, encode_glb, encode_gltf};
 use crate::formats::preview::{self, PreviewOptions};
 use crate::formats::{
-    self, Asset, Axes, Axis, DecodeError, DecodeOptions, Finding, Limits, Severity, Siblings, rig_json, rignet_text,
+    self, Asset, Axes, Axis, DecodeError, DecodeOptions, Finding, Limits, Rig, Severity, Siblings, rig_json,
+    rignet_text,
 };
 use crate::pipelines::{self, LoadOptions, Method, Models, RigError, Rigged, Subject, orientation};
 
@@ -74,6 +76,14 @@ pub fn check_file(
     Ok(report::check(method, options, &upload))
 }
 
+/// The upload of `request`, decoded as it was for its rig.
+pub(super) fn decoded(request: &RigRequest) -> Result<Asset, JobError> {
+    let (main, siblings) = request.split()?;
+    let options = DecodeOptions { existing_rig: request.options.existing_rig, allow_missing_textures: false };
+    formats::decode(&main.name, &main.bytes, &siblings, &Limits::default(), &options)
+        .map_err(|error| refusal(&error, &Watch::unattended()))
+}
+
 /// A decoded upload and which way it stands.
 pub(super) struct Upload {
     pub asset: Asset,
@@ -109,11 +119,11 @@ impl Upload {
 impl Rigger for Engine {
     fn perform(&self, request: &RigRequest, watch: &Watch) -> Result<Outcome, JobError> {
         let (main, siblings) = request.split()?;
-        if request.skeleton.is_some() {
-            return Err(JobError::new(ErrorCode::ModelUnavailable, "no method here makes a skin for a given skeleton")
-                .hint("rig the mesh without a skeleton"));
+        let mut options = request.options.clone();
+        if let Some(bytes) = &request.skeleton {
+            options.skeleton = Some(read_skeleton(bytes)?);
         }
-        self.rig_file(&main.name, &main.bytes, &siblings, &request.options, watch)
+        self.rig_file(&main.name, &main.bytes, &siblings, &options, watch)
     }
 
     fn check(
@@ -227,14 +237,26 @@ fn encode(
     wanted: &RigOptions,
     facts: &serde_json::Map<String, serde_json::Value>,
 ) -> Result<Artifact, JobError> {
+    let names = if wanted.skeleton.is_some() { JointNames::AsGiven } else { JointNames::Plain };
+    encode_rig(output, asset, &rigged.rig, names, wanted.max_influences, method, facts)
+}
+
+/// One file of a rig. `facts` go into `rig.json`.
+pub(super) fn encode_rig(
+    output: Output,
+    asset: &Asset,
+    rig: &Rig,
+    names: JointNames,
+    influences_max: usize,
+    method: &str,
+    facts: &serde_json::Map<String, serde_json::Value>,
+) -> Result<Artifact, JobError> {
     let invalid = |cause: String| {
         JobError::new(ErrorCode::OutputInvalid, format!("{} was not written: {cause}", output.name()))
             .at(Stage::Export)
             .hint("report this as a bug, with the file")
     };
-    let rig = &rigged.rig;
-    let names = if wanted.skeleton.is_some() { JointNames::AsGiven } else { JointNames::Plain };
-    let options = EncodeOptions { influences_max: wanted.max_influences, names, ..EncodeOptions::default() };
+    let options = EncodeOptions { influences_max, names, ..EncodeOptions::default() };
     let bytes = match output {
         Output::Glb => encode_glb(asset, rig, &options).map_err(|error| invalid(error.to_string()))?,
         Output::Gltf => encode_gltf(asset, rig, &options).map_err(|error| invalid(error.to_string()))?,

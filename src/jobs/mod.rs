@@ -36,6 +36,7 @@ pub mod cores;
 mod counted;
 mod engine;
 pub mod event;
+mod exporting;
 pub mod failure;
 mod history;
 pub mod ids;
@@ -73,7 +74,7 @@ pub use perform::{
     Artifact, Availability, MethodInfo, ModelInfo, NamedFile, Outcome, Readiness, RigRequest, Rigger, Timing, Watch,
 };
 pub use queue::{Denied, Jobs, Settings, StartError};
-pub use skeleton::read_skeleton;
+pub use skeleton::{canonical_skeleton, read_skeleton};
 pub use stage::Stage;
 pub use store::{Counts, JobFilter, Remembered, StoreFailure};
 pub use submission::{Caller, Labels, Missing, Priority, Refusal, Source, Submission, Submitted};

@@ -172,7 +172,7 @@ impl Jobs {
         Ok(started)
     }
 
-    fn core(&self) -> &Arc<Core> {
+    pub(super) fn core(&self) -> &Arc<Core> {
         &self.0.0
     }
 

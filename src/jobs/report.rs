@@ -6,7 +6,7 @@ use super::engine::Upload;
 use super::options::RigOptions;
 use super::perform::{Availability, MethodInfo, ModelInfo};
 use crate::formats::{Finding, Limits, Severity};
-use crate::pipelines::{self, Facts, Method, Models, Rigged, survey};
+use crate::pipelines::{self, Facts, Method, Models, Quality, Rigged, Verdict, survey};
 use serde_json::{Map, Value, json};
 
 /// The facts of a finished rig.
@@ -52,7 +52,7 @@ pub fn facts(
             })),
         },
         "orientation": orientation(upload),
-        "quality": {"joints_inside": rounded(facts.joints_inside)},
+        "quality": quality(&facts.quality, &rig.skeleton.joints.iter().map(|joint| joint.name.as_str()).collect::<Vec<_>>()),
         "working_mesh": {"vertices": facts.working_vertices, "triangles": facts.working_triangles},
         "input": input(upload),
         "findings": upload.findings.iter().map(finding).collect::<Vec<_>>(),
@@ -66,6 +66,27 @@ pub fn method_used(method: Method, options: &RigOptions) -> &'static str {
         Some(_) => options.skin_method.unwrap_or_default().name(),
     }
 }
+
+/// The figures of [`Quality`]; bleeding is told of the joints that do.
+fn quality(quality: &Quality, names: &[&str]) -> Value {
+    let bleeding = quality.bleed.iter().zip(names).filter(|(share, _)| **share >= BLEED_TOLD);
+    let bleed: Map<String, Value> =
+        bleeding.map(|(share, name)| ((*name).to_owned(), rounded(*share).into())).collect();
+    json!({
+        "verdict": quality.verdict.name(),
+        "reasons": quality.reasons,
+        "joints_inside": rounded(quality.joints_inside),
+        "bone_outside": rounded(quality.bone_outside),
+        "bleed": bleed,
+        "mirror_error": quality.mirror_error.map(rounded),
+        "weight_roughness": rounded(quality.roughness),
+        "edge_stretch": rounded(quality.stretch),
+        "volume_change": quality.volume_change.map(rounded),
+    })
+}
+
+/// Less than this share of a joint's weight far from it is not worth a line.
+const BLEED_TOLD: f64 = 0.005;
 
 /// What a check says.
 pub fn check(method: Method, options: &RigOptions, upload: &Upload) -> Map<String, Value> {
@@ -144,6 +165,14 @@ pub fn findings(rigged: &Rigged) -> Vec<Finding> {
             severity: Severity::Warning,
             message: format!("only {:.0} % of the joints lie inside the mesh", joints_inside * 100.0),
             hint: "check the skeleton; another `detail` may place it better".into(),
+        });
+    }
+    if rigged.facts.quality.verdict == Verdict::Poor {
+        findings.push(Finding {
+            code: "poor_quality",
+            severity: Severity::Warning,
+            message: format!("the rig is poor: {}", rigged.facts.quality.reasons.join("; ")),
+            hint: "look at it in motion; edit the skeleton and ask for new weights".into(),
         });
     }
     findings

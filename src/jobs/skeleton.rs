@@ -3,6 +3,7 @@
 use super::failure::{ErrorCode, JobError};
 use crate::formats::rig_json::{self, RigFileError};
 use crate::pipelines::Skeleton;
+use serde_json::json;
 use std::sync::Arc;
 
 /// Reads the skeleton of a `rigsmith.rig/1` file for [`super::RigOptions::skeleton`]. Weights and report are not looked at
@@ -12,6 +13,17 @@ pub fn read_skeleton(bytes: &[u8]) -> Result<Arc<Skeleton>, JobError> {
         Ok(file) => Ok(Arc::new(file.skeleton)),
         Err(error) => Err(refusal(&error)),
     }
+}
+
+/// The same skeleton as the shortest file that holds it: what two senders mean alike is alike.
+pub fn canonical_skeleton(bytes: &[u8]) -> Result<Vec<u8>, JobError> {
+    let skeleton = read_skeleton(bytes)?;
+    let joints = skeleton
+        .joints
+        .iter()
+        .map(|joint| json!({"name": joint.name, "parent": joint.parent, "position": joint.position.to_array()}));
+    let file = json!({"format": rig_json::FORMAT, "joints": joints.collect::<Vec<_>>()});
+    Ok(file.to_string().into_bytes())
 }
 
 fn refusal(error: &RigFileError) -> JobError {
@@ -27,6 +39,9 @@ mod tests {
         let file =
             br#"{"format": "rigsmith.rig/1", "joints": [{"name": "hips", "parent": null, "position": [0, 1, 0]}]}"#;
         assert_eq!(read_skeleton(file).expect("reads").joints[0].name, "hips");
+        let canonical = canonical_skeleton(file).expect("reads");
+        assert_eq!(canonical_skeleton(&canonical).as_ref(), Ok(&canonical), "the shortest file is its own");
+        assert_eq!(read_skeleton(&canonical), read_skeleton(file));
         let error = read_skeleton(b"{}").expect_err("refused");
         assert_eq!(error.code, ErrorCode::SkeletonInvalid);
         assert!(!error.hint.is_empty());

@@ -13,6 +13,7 @@ use crate::mesh::Mesh;
 pub use crate::nets::{LoadOptions, Models, NetError};
 use crate::rig::detect_joints::DetectJointsError;
 pub use crate::rig::detect_joints::Fineness as LevelOfDetail;
+pub use crate::rig::verdict::{Quality, Verdict};
 pub use crate::rig::{Rig, Skeleton};
 use glam::{DMat3, DVec3};
 
@@ -39,23 +40,28 @@ impl Method {
 }
 
 /// A way to weigh vertices over the bones of a skeleton.
+///
+/// The default is the one with the least L1 on validation rigs with their own skeletons; `docs/models.md` has the table.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum SkinMethod {
     /// RigNet's skin network over volumetric geodesic distances [Xu et al. 2020, Section 4.3].
-    #[default]
     RigNet,
     /// Falloff of the way through voxels of the solid [Dionne and de Lasa 2013]; asks no network.
     GeodesicVoxel,
+    /// Heat that bones give off, by the same way [Baran and Popović 2007]; asks no network.
+    #[default]
+    GeodesicHeat,
 }
 
 impl SkinMethod {
-    pub const ALL: [Self; 2] = [Self::RigNet, Self::GeodesicVoxel];
+    pub const ALL: [Self; 3] = [Self::RigNet, Self::GeodesicVoxel, Self::GeodesicHeat];
 
     /// The name in requests and reports.
     pub const fn name(self) -> &'static str {
         match self {
             Self::RigNet => "rignet",
             Self::GeodesicVoxel => "geodesic_voxel",
+            Self::GeodesicHeat => "geodesic_heat",
         }
     }
 }
@@ -175,6 +181,8 @@ pub struct Facts {
     pub joints_far_outside: Vec<usize>,
     /// Vertices that no bone's weights reached; they follow the nearest bone.
     pub vertices_by_nearest_bone: usize,
+    /// How good the rig of the working mesh is, by what can be measured without knowing the right answer.
+    pub quality: Quality,
 }
 
 /// Why this mesh was not rigged.
@@ -254,7 +262,7 @@ pub fn skin(
     watch: Watch,
 ) -> Result<Rigged, RigError> {
     let nets = match options.skin_method {
-        SkinMethod::GeodesicVoxel => None,
+        SkinMethod::GeodesicVoxel | SkinMethod::GeodesicHeat => None,
         SkinMethod::RigNet => Some(models.rignet().map_err(|reason| RigError::MethodUnavailable {
             method: options.skin_method.name(),
             reason: reason.to_owned(),

@@ -3,13 +3,12 @@
 
 use super::prepared::{Prepared, SYMMETRIC_FROM};
 use super::shape::{Shape, points_f32};
-use super::skin::{Weigher, weigh};
+use super::skin::{Weigher, judged, weigh};
 use super::{Facts, RigError, RigOptions, Rigged, Stage, Subject, Symmetry, Watch};
 use crate::geometry::symmetry_plane::SymmetryPlane;
 use crate::geometry::transfer::transfer_map;
 use crate::nets::rignet::{RigNets, ShapeGraph};
 use crate::rig::detect_joints::{DetectedJoints, Evidence, detect_joints};
-use crate::rig::quality::inside_share;
 use crate::rig::spanning_tree::{BoneCosts, OutsideRule, Tree, minimum_spanning_tree, symmetric_spanning_tree};
 use crate::rig::{Rig, Skeleton};
 use glam::DVec3;
@@ -38,6 +37,8 @@ pub fn rig(subject: Subject, nets: &RigNets, options: &RigOptions, watch: Watch)
     let weigher = Weigher::new(options.skin_method, nets, &graph);
     let (skin, vertices_by_nearest_bone) = weigh(&shape, &skeleton, weigher, options.max_influences, watch)?;
 
+    let quality = judged(&shape, &skeleton, &skin, plane.as_ref());
+
     watch.enter(Stage::Transfer)?;
     let skin = skin.transferred(&transfer_map(&subject.original, &subject.working), options.max_influences);
     let to_upload = |point: DVec3| subject.normalization.invert(point);
@@ -47,9 +48,10 @@ pub fn rig(subject: Subject, nets: &RigNets, options: &RigOptions, watch: Watch)
         symmetry_plane: plane.map(|plane| subject.plane_in_upload(&plane)),
         symmetry_score: shape.symmetry.score,
         bandwidth: Some(detected.bandwidth),
-        joints_inside: inside_share(&skeleton.positions(), |joint| shape.solid.contains(joint)),
+        joints_inside: quality.joints_inside,
         joints_far_outside: Vec::new(),
         vertices_by_nearest_bone,
+        quality,
     };
     Ok(Rigged { rig: Rig { skeleton: skeleton.mapped(to_upload), skin }, facts })
 }

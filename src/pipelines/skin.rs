@@ -1,5 +1,5 @@
 //! Skin weights for the bones of a skeleton: the last step of every method, and the only one for a skeleton that is given.
-//! RigNet [Xu et al. 2020], Section 4.3; geodesic voxel binding [Dionne and de Lasa 2013].
+//! RigNet [Xu et al. 2020], Section 4.3; geodesic voxel binding [Dionne and de Lasa 2013]; bone heat [Baran and Popović 2007].
 //!
 //! | in         | space  | meaning                                                  |
 //! |------------|--------|----------------------------------------------------------|
@@ -12,6 +12,7 @@
 use super::prepared::{Prepared, SYMMETRIC_FROM};
 use super::shape::Shape;
 use super::{Facts, RigError, RigOptions, Rigged, SkinMethod, Stage, Subject, Symmetry, Watch};
+use crate::geometry::symmetry_plane::SymmetryPlane;
 use crate::geometry::transfer::transfer_map;
 use crate::geometry::volumetric_geodesic::Segment;
 use crate::geometry::voxel_binding::VoxelBinding;
@@ -19,8 +20,9 @@ use crate::nets::rignet::{RigNets, ShapeGraph};
 use crate::rig::bone_features::{BONE_CHANNELS, NEAREST_BONES, bone_features};
 use crate::rig::bone_weights::{BoneWeights, PRUNE_SHARE, SMOOTHINGS, TRACE_SHARE};
 use crate::rig::distance_falloff::{FALLOFF, VOXEL_SMOOTHINGS, VOXEL_TRACE_SHARE, falloff_weights};
-use crate::rig::quality::inside_share;
+use crate::rig::heat_weights::{HEAT, HEAT_TRACE_SHARE, heat_weights};
 use crate::rig::skeleton::Bone;
+use crate::rig::verdict::{self, Quality};
 use crate::rig::{Rig, Skeleton, SkinWeights};
 use glam::DVec3;
 use ndarray::ArrayView2;
@@ -47,24 +49,33 @@ pub(super) fn skin(
     watch.enter(Stage::Skin)?;
     let weigher = match (nets, &graph) {
         (Some(nets), Some(graph)) => Weigher::new(options.skin_method, nets, graph),
-        _ => Weigher::GeodesicVoxel,
+        _ => Weigher::Voxels(options.skin_method),
     };
     let (skin, vertices_by_nearest_bone) = weigh(&shape, &normalised, weigher, options.max_influences, watch)?;
 
+    let plane = (shape.symmetry.score >= SYMMETRIC_FROM).then_some(&shape.symmetry);
+    let quality = judged(&shape, &normalised, &skin, plane);
+
     watch.enter(Stage::Transfer)?;
     let skin = skin.transferred(&transfer_map(&subject.original, &subject.working), options.max_influences);
-    let plane = (shape.symmetry.score >= SYMMETRIC_FROM).then_some(&shape.symmetry);
     let facts = Facts {
         working_vertices: shape.mesh.positions.len(),
         working_triangles: shape.mesh.triangles.len(),
         symmetry_plane: plane.map(|plane| subject.plane_in_upload(plane)),
         symmetry_score: shape.symmetry.score,
         bandwidth: None,
-        joints_inside: inside_share(&normalised.positions(), |joint| shape.solid.contains(joint)),
+        joints_inside: quality.joints_inside,
         joints_far_outside: far_outside(&shape, &normalised),
         vertices_by_nearest_bone,
+        quality,
     };
     Ok(Rigged { rig: Rig { skeleton: skeleton.clone(), skin }, facts })
+}
+
+/// What can be said of the rig of the working mesh.
+pub(super) fn judged(shape: &Shape, skeleton: &Skeleton, skin: &SkinWeights, plane: Option<&SymmetryPlane>) -> Quality {
+    let is_inside = |point| shape.solid.contains(point);
+    verdict::judge(&verdict::Subject { mesh: &shape.mesh, skeleton, skin, is_inside: &is_inside, plane })
 }
 
 /// Joints farther than this from the bounding box, in lengths of its longest side, belong to another unit or another place.
@@ -80,15 +91,19 @@ fn far_outside(shape: &Shape, skeleton: &Skeleton) -> Vec<usize> {
 /// What answers for the weights.
 #[derive(Clone, Copy)]
 pub(super) enum Weigher<'a> {
-    RigNet { nets: &'a RigNets, graph: &'a ShapeGraph },
-    GeodesicVoxel,
+    RigNet {
+        nets: &'a RigNets,
+        graph: &'a ShapeGraph,
+    },
+    /// One of the methods that ask no network.
+    Voxels(SkinMethod),
 }
 
 impl<'a> Weigher<'a> {
     pub(super) fn new(method: SkinMethod, nets: &'a RigNets, graph: &'a ShapeGraph) -> Self {
         match method {
             SkinMethod::RigNet => Self::RigNet { nets, graph },
-            SkinMethod::GeodesicVoxel => Self::GeodesicVoxel,
+            SkinMethod::GeodesicVoxel | SkinMethod::GeodesicHeat => Self::Voxels(method),
         }
     }
 }
@@ -106,7 +121,7 @@ pub(super) fn weigh(
     let segments: Vec<Segment> = bones.iter().map(|bone| (bone.start, bone.end)).collect();
     let (weights, nearest) = match weigher {
         Weigher::RigNet { nets, graph } => by_network(shape, graph, nets, &bones, &segments, watch)?,
-        Weigher::GeodesicVoxel => by_voxels(shape, skeleton, &bones, watch)?,
+        Weigher::Voxels(method) => by_voxels(shape, skeleton, &bones, method, watch)?,
     };
     Ok(SkinWeights::from_bones(&weights, &bones, &nearest, max_influences))
 }
@@ -136,11 +151,12 @@ fn by_network(
     Ok((smoothed(weights, shape, SMOOTHINGS).pruned(TRACE_SHARE), features.nearest))
 }
 
-/// Distances through voxels, and their falloff. Second: the nearest bones `[V, K]`.
+/// Distances through voxels, and their falloff or the heat over them. Second: the nearest bones `[V, K]`.
 fn by_voxels(
     shape: &Shape,
     skeleton: &Skeleton,
     bones: &[Bone],
+    method: SkinMethod,
     watch: Watch,
 ) -> Result<(BoneWeights, Vec<u32>), RigError> {
     let segments: Vec<Segment> = bones.iter().map(|bone| (bone.start, reach_of(bone, skeleton, shape))).collect();
@@ -148,8 +164,13 @@ fn by_voxels(
     watch.cancellation.check()?;
     let distances = binding.distances(&shape.mesh.positions);
     watch.cancellation.check()?;
-    let weights = falloff_weights(&distances, bones, &FALLOFF);
-    let weights = smoothed(weights, shape, VOXEL_SMOOTHINGS).pruned(VOXEL_TRACE_SHARE);
+    let weights = match method {
+        SkinMethod::GeodesicHeat => heat_weights(&shape.mesh, &distances, bones, HEAT).pruned(HEAT_TRACE_SHARE),
+        _ => {
+            let weights = falloff_weights(&distances, bones, &FALLOFF);
+            smoothed(weights, shape, VOXEL_SMOOTHINGS).pruned(VOXEL_TRACE_SHARE)
+        }
+    };
     Ok((weights, bone_features(&distances, bones).nearest))
 }
 

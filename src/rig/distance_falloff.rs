@@ -27,7 +27,8 @@ pub struct Falloff {
 ///
 /// On 76 training rigs with their own skeletons, organic / box: mean L1 .60 / .80, precision .74 / .45, recall .80 / .91. Exponent 2
 /// (the paper's) with the same smoothing: .84 / 1.1; 6: .64 / .88; 20 and 30: the same within .01 with less recall. λ of 0 and .5
-/// change L1 by less than .01. Leaf bones went on to the surface.
+/// change L1 by less than .01. Measured with leaf bones that go on to the surface, before `nearest_of_joints` passed over
+/// the bones that end in them.
 pub const FALLOFF: Falloff = Falloff { quadratic_share: 0.2, exponent: 14.0 };
 /// How often the falloff's rows are smoothed over the one-ring: exponents that artists' weights ask for leave ragged edges ...
 pub const VOXEL_SMOOTHINGS: usize = 4;
@@ -43,9 +44,8 @@ pub fn falloff_weights(distance: &[f32], bones: &[Bone], falloff: &Falloff) -> B
     if bones.is_empty() {
         return BoneWeights { bone_count: 0, values };
     }
-    let joint_count = bones.iter().map(|bone| bone.start_joint + 1).max().unwrap_or(0);
     values.par_chunks_exact_mut(bones.len()).zip(distance.par_chunks_exact(bones.len())).for_each(|(row, distance)| {
-        let nearest = nearest_of_joints(distance, bones, joint_count);
+        let nearest = nearest_of_joints(distance, bones);
         let least = nearest.iter().flatten().map(|&bone| distance[bone]).fold(f32::INFINITY, f32::min);
         let against_least = |bone: usize| share(distance[bone], falloff) / share(least, falloff);
         let shares: Vec<(usize, f64)> = nearest.into_iter().flatten().map(|bone| (bone, against_least(bone))).collect();
@@ -57,10 +57,22 @@ pub fn falloff_weights(distance: &[f32], bones: &[Bone], falloff: &Falloff) -> B
     BoneWeights { bone_count: bones.len(), values }
 }
 
+/// A bone that is nearer than this share of its leaf bone's distance is nearer along its length, not by its end.
+const NEARER: f32 = 0.98;
+
 /// For each joint the nearest of the bones that leave it, if any has a finite distance; ties to the lower index.
-fn nearest_of_joints(distance: &[f32], bones: &[Bone], joint_count: usize) -> Vec<Option<usize>> {
+///
+/// A bone that ends in a leaf joint is as near as that joint to all that lies beyond it: a head beyond its neck, a hand beyond its
+/// arm. There the leaf joint answers alone.
+pub(super) fn nearest_of_joints(distance: &[f32], bones: &[Bone]) -> Vec<Option<usize>> {
+    let joint_count = bones.iter().map(|bone| bone.start_joint + 1).max().unwrap_or(0);
     let mut nearest: Vec<Option<usize>> = vec![None; joint_count];
-    for (index, bone) in bones.iter().enumerate().filter(|&(index, _)| distance[index].is_finite()) {
+    let beyond_its_end = |index: usize| {
+        let leaf = bones.get(index + 1).filter(|next| next.is_leaf() && next.start_joint == bones[index].end_joint);
+        !bones[index].is_leaf() && leaf.is_some() && distance[index] >= NEARER * distance[index + 1]
+    };
+    let in_reach = |&(index, _): &(usize, &Bone)| distance[index].is_finite() && !beyond_its_end(index);
+    for (index, bone) in bones.iter().enumerate().filter(in_reach) {
         let known = &mut nearest[bone.start_joint];
         if known.is_none_or(|known| distance[index] < distance[known]) {
             *known = Some(index);

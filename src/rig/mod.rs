@@ -5,7 +5,7 @@
 //! | displaced points → joints             | [`detect_joints`], made of [`joint_clustering`], [`non_maximum_suppression`], [`symmetrize`] |
 //! | joints → tree → skeleton, bones       | [`spanning_tree`], [`skeleton`]                                   |
 //! | bone distances → what the network reads | [`bone_features`]                                               |
-//! | logits or distances → weights         | [`bone_weights`], [`distance_falloff`], [`skin_weights`]          |
+//! | logits or distances → weights         | [`bone_weights`], [`distance_falloff`], [`heat_weights`], [`skin_weights`] |
 //! | rig → posed mesh, figures             | [`bind_pose`], [`forward_kinematics`], [`linear_blend_skinning`], [`quality`] |
 
 pub mod bind_pose;
@@ -15,6 +15,7 @@ mod cell_grid;
 pub mod detect_joints;
 pub mod distance_falloff;
 pub mod forward_kinematics;
+pub mod heat_weights;
 pub mod joint_clustering;
 mod joint_levels;
 pub mod linear_blend_skinning;
@@ -25,6 +26,7 @@ pub mod skeleton;
 pub mod skin_weights;
 pub mod spanning_tree;
 pub mod symmetrize;
+pub mod verdict;
 
 use glam::DVec3;
 

@@ -104,6 +104,9 @@ fn the_examples_of_the_api_do_what_they_say() {
         assert_eq!(&served.file(name)[..4], b"glTF", "{name}");
     }
     assert_eq!(served.file("again.glb"), served.file("hero.glb"));
+    assert!(served.file("exported.glb") == served.file("rigged.glb"), "an export is the file that the job made");
+    let gltf: serde_json::Value = serde_json::from_slice(&served.file("hero.gltf")).expect("JSON");
+    assert_eq!(gltf["skins"].as_array().map(Vec::len), Some(1));
     for word in ["event: snapshot", "event: done", "\"riggable\"", "\"knights\"", "hero-v3"] {
         assert!(said.contains(word), "{word} in\n{said}");
     }

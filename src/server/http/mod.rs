@@ -17,6 +17,7 @@ mod segments;
 pub mod service;
 mod sink;
 pub(super) mod timestamp;
+pub mod verbs;
 pub mod views;
 pub mod wishes;
 
@@ -47,7 +48,7 @@ pub fn routes(app: App) -> Router {
         .route("/v1/assets/{id}/content", get(assets::get_asset_content))
         .route("/v1/rigs", get(rigs::list_rigs).post(create::create_rig))
         .route("/v1/rigs:check", post(create::check_rig))
-        .route("/v1/rigs/{id}", get(rigs::get_rig).put(create::put_rig).delete(rigs::delete_rig).post(rigs::rig_verb))
+        .route("/v1/rigs/{id}", get(rigs::get_rig).put(create::put_rig).delete(rigs::delete_rig).post(verbs::rig_verb))
         .route("/v1/rigs/{id}/events", get(events::rig_events))
         .route("/v1/rigs/{id}/artifacts", get(artifacts::list_artifacts))
         .route("/v1/rigs/{id}/artifacts/{name}", get(artifacts::get_artifact))

@@ -2,7 +2,7 @@
 
 use super::error::{Code, ProblemView};
 use super::views::RequestView;
-use super::{artifacts, assets, create, events, rigs, service};
+use super::{artifacts, assets, create, events, rigs, service, verbs};
 use crate::jobs::ErrorCode;
 use axum::Json;
 use axum::http::header;
@@ -28,7 +28,8 @@ use utoipa::OpenApi;
     ),
     paths(
         create::create_rig, create::put_rig, create::check_rig,
-        rigs::get_rig, rigs::list_rigs, rigs::cancel_rig, rigs::delete_rig, events::rig_events,
+        rigs::get_rig, rigs::list_rigs, rigs::delete_rig, events::rig_events,
+        verbs::cancel_rig, verbs::export_rig, verbs::reskin_rig,
         assets::create_asset, assets::get_asset, assets::delete_asset, assets::get_asset_content,
         artifacts::list_artifacts, artifacts::get_artifact,
         service::list_methods, service::list_problems, service::get_problem,
@@ -83,6 +84,26 @@ const READING: &[Code] = &[
     Code::Work(ErrorCode::AlreadyRigged),
     Code::Work(ErrorCode::NotRiggable),
 ];
+/// Refusals of what is written again,
+const EXPORTING: &[Code] = &[
+    Code::UploadIncomplete,
+    Code::UploadTimeout,
+    Code::QueueFull,
+    Code::Work(ErrorCode::TooLarge),
+    Code::Work(ErrorCode::UnsupportedMediaType),
+    Code::Work(ErrorCode::UnreadableMesh),
+    Code::Work(ErrorCode::OutputInvalid),
+    Code::Work(ErrorCode::Draining),
+];
+/// and weighed again.
+const RESKINNING: &[Code] = &[
+    Code::Expired,
+    Code::QuotaExceeded,
+    Code::IdempotencyMismatch,
+    Code::IdempotencyInProgress,
+    Code::Work(ErrorCode::SkeletonInvalid),
+    Code::Work(ErrorCode::OutOfMemory),
+];
 /// Refusals of whatever asks for a key.
 const GUARDED: &[Code] = &[Code::Unauthenticated, Code::RateLimited, Code::Work(ErrorCode::Internal)];
 
@@ -94,6 +115,11 @@ const PROBLEMS: &[(&str, &[&[Code]])] = &[
     ("get_rig", &[GUARDED, ASKING, &[Code::NotFound]]),
     ("list_rigs", &[GUARDED, ASKING]),
     ("cancel_rig", &[GUARDED, ASKING, &[Code::NotFound, Code::NotCancelable]]),
+    (
+        "export_rig",
+        &[GUARDED, ASKING, READING, EXPORTING, &[Code::NotFound, Code::Conflict, Code::Expired, Code::InvalidJson]],
+    ),
+    ("reskin_rig", &[GUARDED, UPLOADING, WORKING, RESKINNING]),
     ("delete_rig", &[GUARDED, ASKING, &[Code::NotFound, Code::Conflict]]),
     ("rig_events", &[GUARDED, ASKING, &[Code::NotFound]]),
     ("create_asset", &[GUARDED, UPLOADING, &[Code::IdempotencyMismatch, Code::IdempotencyInProgress, Code::NotFound]]),

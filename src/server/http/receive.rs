@@ -121,6 +121,16 @@ pub fn asset_id(text: &str) -> Result<AssetId, ApiError> {
 
 /// A JSON object as the body.
 pub async fn json_body(app: &App, request: Request) -> Result<Map<String, Value>, ApiError> {
+    let bytes = body_bytes(app, request, JSON_BYTES_MAX).await?;
+    serde_json::from_slice(&bytes).map_err(|error| {
+        ApiError::new(Code::InvalidJson, format!("the body is not a JSON object: {error}"))
+            .hint("send {\"asset\": \"ast_…\"}, for example")
+    })
+}
+
+/// A body that is read into memory.
+pub async fn body_bytes(app: &App, request: Request, bytes_max: u64) -> Result<Vec<u8>, ApiError> {
+    declared_length(request.headers(), bytes_max)?;
     let deadline = Deadline::of(app);
     let mut body = request.into_body();
     let mut bytes = Vec::new();
@@ -128,14 +138,11 @@ pub async fn json_body(app: &App, request: Request) -> Result<Map<String, Value>
         if let Ok(data) = frame.map_err(|_| incomplete())?.into_data() {
             bytes.extend_from_slice(&data);
         }
-        if bytes.len() as u64 > JSON_BYTES_MAX {
-            return Err(ApiError::too_large(JSON_BYTES_MAX, None));
+        if bytes.len() as u64 > bytes_max {
+            return Err(ApiError::too_large(bytes_max, None));
         }
     }
-    serde_json::from_slice(&bytes).map_err(|error| {
-        ApiError::new(Code::InvalidJson, format!("the body is not a JSON object: {error}"))
-            .hint("send {\"asset\": \"ast_…\"}, for example")
-    })
+    Ok(bytes)
 }
 
 /// A small mesh within the JSON.

@@ -1,4 +1,4 @@
-//! Rigs: look, list, cancel, delete.
+//! Rigs: look, list, delete.
 
 use super::App;
 use super::authenticate::Identity;
@@ -102,45 +102,6 @@ fn page_size(text: &str) -> Result<usize, ApiError> {
     })
 }
 
-/// Cancel a rig.
-///
-/// A waiting job ends at once. A running one yields within about two seconds; until then it is `running` with
-/// `cancel_requested`. Asking again changes nothing.
-#[utoipa::path(
-    post, path = "/v1/rigs/{id}:cancel", tag = "rigs",
-    params(("id" = String, Path, description = "Id of the rig", example = "rig_01jdf5fj63fh5ra1njpy75fmyg")),
-    responses(
-        (status = 200, description = "The job", body = JobView),
-    ),
-    extensions(("x-curl" = json!("curl -X POST $HOST/v1/rigs/$ID:cancel"))),
-)]
-pub async fn cancel_rig(app: &App, caller: &Caller, id: &str) -> Result<Json<JobView>, ApiError> {
-    let id = resolve(app, caller, id).await?;
-    let job = app.jobs.cancel(caller, id).await.map_err(|error| denied(error, Code::NotCancelable))?;
-    Ok(Json((&job).into()))
-}
-
-/// The verbs of one rig: `POST /v1/rigs/{id}:verb`.
-pub async fn rig_verb(
-    State(app): State<App>,
-    Segments(id_and_verb): Segments<String>,
-    identity: Identity,
-    uri: Uri,
-) -> Result<Response, ApiError> {
-    match id_and_verb.split_once(':') {
-        Some((id, "cancel")) => {
-            query(&uri, &[])?;
-            cancel_rig(&app, &identity.caller, id).await.map(IntoResponse::into_response)
-        }
-        Some((_, verb)) => {
-            Err(ApiError::not_found(&format!("verb {verb:?}")).hint("rigs can be canceled: {id}:cancel"))
-        }
-        None => Err(ApiError::new(Code::MethodNotAllowed, "one rig takes GET, PUT and DELETE")
-            .header(header::ALLOW, "GET, HEAD, PUT, DELETE")
-            .hint("POST the mesh to /v1/rigs; POST to {id}:cancel cancels")),
-    }
-}
-
 /// Delete a rig and its files.
 #[utoipa::path(
     delete, path = "/v1/rigs/{id}", tag = "rigs",
@@ -164,7 +125,7 @@ pub async fn delete_rig(
 }
 
 /// The id of a job, by its own id or by the one that the caller gave it.
-async fn resolve(app: &App, caller: &Caller, id: &str) -> Result<JobId, ApiError> {
+pub async fn resolve(app: &App, caller: &Caller, id: &str) -> Result<JobId, ApiError> {
     match id.parse() {
         Ok(id) => Ok(id),
         Err(_) => find(app, caller, id).await.map(|job| job.id),

@@ -89,7 +89,7 @@ pub struct OptionsView {
     #[param(required = false, default = "auto")]
     #[schema(example = "auto", required = false)]
     pub symmetry: &'static str,
-    /// What weighs the vertices: `auto`, `rignet` or `geodesic_voxel`.
+    /// What weighs the vertices: `auto`, `rignet`, `geodesic_voxel` or `geodesic_heat`.
     #[param(required = false, default = "auto")]
     #[schema(example = "auto")]
     pub skin_method: &'static str,
@@ -180,6 +180,18 @@ pub struct CreateView {
     pub asset: String,
     #[schema(inline)]
     pub options: OptionsView,
+}
+
+/// Which file to write of a rig.
+#[derive(ToSchema)]
+#[schema(as = ExportRig)]
+pub struct ExportView {
+    /// `glb`, `gltf`, `rig_json`, `rignet_txt` or `preview_png`.
+    #[schema(example = "gltf")]
+    pub output: String,
+    /// Joints per vertex at most, if not as the rig was asked for. Not more than were made.
+    #[schema(example = 2, minimum = 1, maximum = 8)]
+    pub max_influences: Option<usize>,
 }
 
 /// An upload that is kept, to be rigged more than once.

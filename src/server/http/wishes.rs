@@ -26,13 +26,13 @@ const LABEL_VALUE_MAX: usize = 256;
 /// Fields that callers of other services know, or that are to come, and what to do instead. Refused rather than
 /// ignored; a field that [`OptionsReader`] has learnt is read before this list is looked at.
 const NOT_HERE: &[(&str, &str)] = &[
-    ("skeleton", "this version makes its own skeleton"),
+    ("skeleton", "rig the mesh, then POST a skeleton of yours to {id}:reskin"),
     ("category", "every kind of character is rigged the same way"),
     ("up_axis", "it is called up here"),
     ("forward_axis", "it is called front here"),
     ("max_joints", "detail decides how many joints there are"),
     ("fingers", "detail decides how much is found"),
-    ("skinning", "max_influences is a field of its own"),
+    ("skinning", "skin_method and max_influences are fields of their own"),
     ("naming", "joints are numbered"),
     ("root_joint", "the root is the joint that the method finds"),
     ("leaf_joints", "there are none beyond the joints that the method finds"),
