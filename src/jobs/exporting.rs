@@ -22,8 +22,8 @@ impl Jobs {
             let waiting = self.counts().await?.queued;
             return Err(Refusal::QueueFull { waiting, retry_after: Duration::from_secs(1) });
         };
-        let made = job.result.iter().flat_map(|result| &result.artifacts);
-        let rig = made.filter(|artifact| artifact.name == Output::RigJson.file_name()).next_back();
+        let mut made = job.result.iter().flat_map(|result| &result.artifacts);
+        let rig = made.rfind(|artifact| artifact.name == Output::RigJson.file_name());
         let rig = rig.ok_or(Refusal::NotFound(Missing::Job))?;
         let rig = FileInfo { name: rig.name.clone(), bytes: rig.bytes, sha256: rig.sha256 };
         let rig = self.load_files(&[rig], Missing::Job).await?.pop().ok_or(Refusal::NotFound(Missing::Job))?;
