@@ -3,7 +3,6 @@
 use super::failure::{ErrorCode, JobError};
 use crate::formats::rig_json::{self, RigFileError};
 use crate::pipelines::Skeleton;
-use serde_json::json;
 use std::sync::Arc;
 
 /// Reads the skeleton of a `rigsmith.rig/1` file for [`super::RigOptions::skeleton`]. Weights and report are not looked at
@@ -18,12 +17,7 @@ pub fn read_skeleton(bytes: &[u8]) -> Result<Arc<Skeleton>, JobError> {
 /// The same skeleton as the shortest file that holds it: what two senders mean alike is alike.
 pub fn canonical_skeleton(bytes: &[u8]) -> Result<Vec<u8>, JobError> {
     let skeleton = read_skeleton(bytes)?;
-    let joints = skeleton
-        .joints
-        .iter()
-        .map(|joint| json!({"name": joint.name, "parent": joint.parent, "position": joint.position.to_array()}));
-    let file = json!({"format": rig_json::FORMAT, "joints": joints.collect::<Vec<_>>()});
-    Ok(file.to_string().into_bytes())
+    Ok(rig_json::skeleton_json(&skeleton).to_string().into_bytes())
 }
 
 fn refusal(error: &RigFileError) -> JobError {
