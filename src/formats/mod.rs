@@ -35,7 +35,6 @@ pub use scene::{Alpha, Image, ImageType, Material, Scene, SceneNode, ScenePrimit
 pub use siblings::{NoSiblings, Siblings, relative_name};
 
 use crate::mesh::Mesh;
-pub use crate::rig::Rig;
 use detect::Kind;
 use glam::DVec3;
 use siblings::BoundedSiblings;

@@ -9,10 +9,9 @@ use super::stage::Stage;
 use crate::formats::gltf::{EncodeOptions, JointNames, encode_glb, encode_gltf};
 use crate::formats::preview::{self, PreviewOptions};
 use crate::formats::{
-    self, Asset, Axes, Axis, DecodeError, DecodeOptions, Finding, Limits, Rig, Severity, Siblings, rig_json,
-    rignet_text,
+    self, Asset, Axes, Axis, DecodeError, DecodeOptions, Finding, Limits, Severity, Siblings, rig_json, rignet_text,
 };
-use crate::pipelines::{self, LoadOptions, Method, Models, RigError, Rigged, Subject, orientation};
+use crate::pipelines::{self, LoadOptions, Method, Models, Rig, RigError, Rigged, Subject, orientation};
 
 /// Makes rigs with the networks of one models folder.
 pub struct Engine {

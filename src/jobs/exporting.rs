@@ -23,7 +23,7 @@ impl Jobs {
             return Err(Refusal::QueueFull { waiting, retry_after: Duration::from_secs(1) });
         };
         let mut made = job.result.iter().flat_map(|result| &result.artifacts);
-        let rig = made.rfind(|artifact| artifact.name == Output::RigJson.file_name());
+        let rig = made.find(|artifact| artifact.name == Output::RigJson.file_name());
         let rig = rig.ok_or(Refusal::NotFound(Missing::Job))?;
         let rig = FileInfo { name: rig.name.clone(), bytes: rig.bytes, sha256: rig.sha256 };
         let rig = self.load_files(&[rig], Missing::Job).await?.pop().ok_or(Refusal::NotFound(Missing::Job))?;

@@ -65,7 +65,7 @@ impl Drop for Served {
 }
 
 /// A body with arms and legs, as boxes that overlap.
-fn figure() -> String {
+pub fn figure() -> String {
     let boxes = [
         ([-0.15, 0.8, -0.1], [0.15, 1.45, 0.1]),
         ([-0.1, 1.45, -0.1], [0.1, 1.7, 0.1]),

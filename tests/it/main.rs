@@ -12,6 +12,7 @@ mod http;
 mod jobs;
 mod jobs_store;
 mod metamorphic;
+mod operation;
 mod pipeline;
 mod program;
 mod skin;

@@ -23,6 +23,7 @@ use std::task::{Context, Poll, ready};
 use std::time::Duration;
 use tokio::sync::{mpsc, watch};
 use tokio::time::timeout;
+use utoipa::ToSchema;
 
 const LAST_EVENT_ID: HeaderName = HeaderName::from_static("last-event-id");
 const X_ACCEL_BUFFERING: HeaderName = HeaderName::from_static("x-accel-buffering");
@@ -34,6 +35,21 @@ const RETRY_MS: u64 = 2000;
 const STOPPING_RETRY_MS: u64 = 5000;
 /// Events written ahead of a slow reader.
 const EVENTS_AHEAD: usize = 16;
+
+/// One event of the stream.
+#[derive(ToSchema)]
+#[schema(as = Event)]
+pub struct EventView {
+    /// Rises from event to event.
+    #[schema(example = "7")]
+    pub id: String,
+    /// `snapshot`, `state`, `progress`, `warning`, `artifact` or `done`.
+    #[schema(example = "progress")]
+    pub event: String,
+    /// JSON: the job for `snapshot`, else what happened, and when.
+    #[schema(example = "{\"stage\":\"skin\",\"progress\":70,\"at\":\"2026-11-24T15:20:09.500Z\"}")]
+    pub data: String,
+}
 
 /// Follow a rig.
 ///
@@ -48,7 +64,7 @@ const EVENTS_AHEAD: usize = 16;
         ("Last-Event-ID" = Option<String>, Header, description = "The `id` of the event received last", example = "7"),
     ),
     responses(
-        (status = 200, description = "Events to the end of the job", content_type = "text/event-stream", body = String),
+        (status = 200, description = "Events to the end of the job", content_type = "text/event-stream", body = EventView),
         (status = 204, description = "The job is over, and its last event is known to the caller"),
     ),
     extensions(("x-curl" = json!("curl -N $HOST/v1/rigs/$ID/events"))),

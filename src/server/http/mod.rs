@@ -12,6 +12,7 @@ mod negotiate;
 pub mod openapi;
 mod outermost;
 mod receive;
+pub mod request_views;
 pub mod rigs;
 mod segments;
 pub mod service;

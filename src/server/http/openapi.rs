@@ -1,7 +1,7 @@
 //! The description of the interface, for machines at `/v1/openapi.json` and for people at `/docs`.
 
 use super::error::{Code, ProblemView};
-use super::views::RequestView;
+use super::request_views::RequestView;
 use super::{artifacts, assets, create, events, rigs, service, verbs};
 use crate::jobs::ErrorCode;
 use axum::Json;

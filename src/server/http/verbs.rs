@@ -5,9 +5,10 @@ use super::authenticate::Identity;
 use super::error::{ApiError, Code, denied};
 use super::negotiate::{self, query, query_pairs};
 use super::outermost::AboutJob;
+use super::request_views::{ExportView, OptionsView, WishesParameters};
 use super::rigs::{after, find, job_response, note_wait, resolve};
 use super::segments::Segments;
-use super::views::{ExportView, JobView, OptionsView, WishesParameters, hex, job_path};
+use super::views::{JobView, hex, job_path};
 use super::wishes::WishesReader;
 use super::{idempotency, receive};
 use crate::jobs::{Artifact, Job, JobState, Output, Source, Submission, Submitted, canonical_skeleton};
@@ -160,11 +161,14 @@ async fn reskin_rig(app: &App, identity: Identity, id: &str, request: Request) -
     let mut wishes = WishesReader::default();
     let asked = query_pairs(request.uri())?;
     asked.iter().for_each(|(name, value)| wishes.text(name, value));
+    if asked.iter().any(|(name, _)| name == "skeleton") {
+        return Err(ApiError::field("skeleton", "is the body of this request"));
+    }
     let levels = ["detail", "bandwidth"];
     for (name, value) in job.request.options.to_json().as_object().into_iter().flatten() {
         // Detail and bandwidth stand for each other: one that is asked for replaces either.
         let replaced = |asked: &str| asked == name || (levels.contains(&asked) && levels.contains(&name.as_str()));
-        if !asked.iter().any(|(asked, _)| replaced(asked)) {
+        if name != "skeleton" && !asked.iter().any(|(asked, _)| replaced(asked)) {
             wishes.json(name, value);
         }
     }

@@ -1,18 +1,15 @@
 //! What goes over the wire as JSON. Built from inner types here, and nowhere else.
 
 use super::error::Limit;
+use super::request_views::RequestView;
 use super::timestamp::rfc3339;
 use crate::formats::Severity;
-use crate::jobs::options::{axis_name, skin_method_name};
-use crate::jobs::{
-    ArtifactInfo, Asset, FileInfo, Job, JobError, JobRequest, JobResult, JobState, LevelOfDetail, ModelInfo, Notice,
-    RigOptions, asset_sha256,
-};
+use crate::jobs::{ArtifactInfo, Asset, FileInfo, Job, JobError, JobResult, JobState, ModelInfo, Notice, asset_sha256};
 use serde::Serialize;
 use serde_json::{Map, Value};
 use std::collections::BTreeMap;
-use std::time::Duration;
-use utoipa::{IntoParams, ToSchema};
+use std::time::{Duration, SystemTime};
+use utoipa::ToSchema;
 
 /// One rig: what was asked, where it stands, and what came out.
 #[derive(Debug, Serialize, ToSchema)]
@@ -34,6 +31,9 @@ pub struct JobView {
     /// 1 is next; `null` unless queued.
     #[schema(example = json!(null))]
     pub queue_position: Option<usize>,
+    /// About how long it will still run, by how far it has come; `null` unless running.
+    #[schema(example = json!(null))]
+    pub estimated_seconds_left: Option<u64>,
     /// Canceled while running; the work yields soon.
     pub cancel_requested: bool,
     #[schema(example = 1)]
@@ -66,132 +66,6 @@ pub struct JobView {
     pub result: Option<ResultView>,
     pub error: Option<JobErrorView>,
     pub links: LinksView,
-}
-
-/// Options of a rig; each may be given as query parameter, form field or member of the JSON part `options`.
-#[derive(Debug, Serialize, ToSchema, IntoParams)]
-#[schema(as = RigOptions)]
-#[into_params(parameter_in = Query)]
-pub struct OptionsView {
-    /// A method of `GET /v1/methods`, or `auto`.
-    #[param(required = false, default = "auto")]
-    #[schema(example = "auto", required = false)]
-    pub method: String,
-    /// How many joints: 0 (few) to 1 (many). Not together with `bandwidth`.
-    #[param(required = false, default = 0.5, minimum = 0, maximum = 1)]
-    #[schema(example = 0.5, minimum = 0, maximum = 1, required = false)]
-    pub detail: Option<f64>,
-    /// For experts: RigNet's mean-shift bandwidth in units of the longest side; larger means fewer joints.
-    #[param(required = false, minimum = 0.005, maximum = 0.5)]
-    #[schema(example = json!(null), minimum = 0.005, maximum = 0.5, required = false)]
-    pub bandwidth: Option<f64>,
-    /// `auto`, `on` or `off`.
-    #[param(required = false, default = "auto")]
-    #[schema(example = "auto", required = false)]
-    pub symmetry: &'static str,
-    /// What weighs the vertices: `auto`, `rignet`, `geodesic_voxel` or `geodesic_heat`.
-    #[param(required = false, default = "auto")]
-    #[schema(example = "auto")]
-    pub skin_method: &'static str,
-    /// A skeleton to make weights for, instead of making one: the text of a `rig.json`, of which `format` and `joints` are
-    /// read; in the JSON part `options` also as an object. It stays as it is. A job shows how many joints it has.
-    #[param(required = false)]
-    #[schema(example = json!(null))]
-    pub skeleton: Option<String>,
-    /// Joints per vertex at most.
-    #[param(required = false, default = 4, minimum = 1, maximum = 8)]
-    #[schema(example = 4, minimum = 1, maximum = 8, required = false)]
-    pub max_influences: usize,
-    /// The same bytes for the same seed.
-    #[param(required = false, default = 0, minimum = 0)]
-    #[schema(example = 0, minimum = 0, required = false)]
-    pub seed: u64,
-    /// Which way is up: `auto`, `x`, `-x`, `y`, `-y`, `z` or `-z`.
-    #[param(required = false, default = "auto")]
-    #[schema(example = "auto", required = false)]
-    pub up: &'static str,
-    /// Which way the character faces, in the same words.
-    #[param(required = false, default = "auto")]
-    #[schema(example = "auto", required = false)]
-    pub front: &'static str,
-    /// For a file that has a skeleton: `reject` or `replace`.
-    #[param(required = false, default = "reject")]
-    #[schema(example = "reject", required = false)]
-    pub existing_rig: &'static str,
-    /// Files to make: `glb`, `gltf`, `rig_json`, `rignet_txt`, `preview_png`. In a query or form, separated by commas.
-    #[param(required = false, style = Form, explode = false)]
-    #[schema(example = json!(["glb", "rig_json"]), required = false)]
-    pub outputs: Vec<&'static str>,
-}
-
-/// How the job is treated.
-#[derive(Debug, Serialize, ToSchema)]
-#[schema(as = JobWishes)]
-pub struct WishesView {
-    /// What runs first when jobs wait: `low`, `normal` or `high`.
-    #[schema(example = "normal", required = false)]
-    pub priority: &'static str,
-    /// Longest run.
-    #[schema(example = 300, minimum = 1, required = false)]
-    pub timeout_seconds: u64,
-    /// How long results are kept.
-    #[schema(example = 24, minimum = 1, required = false)]
-    pub retention_hours: u64,
-    /// Words of your own, to find it by; 16 at most.
-    #[schema(example = json!({"project": "knights"}), required = false)]
-    pub labels: BTreeMap<String, String>,
-}
-
-/// The same as query parameters or fields of a form.
-#[derive(IntoParams)]
-#[into_params(parameter_in = Query)]
-pub struct WishesParameters {
-    /// What runs first when jobs wait: `low`, `normal` or `high`.
-    #[param(default = "normal", example = "normal")]
-    pub priority: Option<String>,
-    /// Longest run; at most what `GET /v1/methods` says.
-    #[param(minimum = 1, example = 120)]
-    pub timeout_seconds: Option<u64>,
-    /// How long results are kept; at most what `GET /v1/methods` says.
-    #[param(minimum = 1, example = 2)]
-    pub retention_hours: Option<u64>,
-    /// Words of your own, to find it by: `name=value,name=value`.
-    #[param(example = "project=knights")]
-    pub labels: Option<String>,
-}
-
-/// What was asked, defaults filled in.
-#[derive(Debug, Serialize, ToSchema)]
-#[schema(as = RigRequest)]
-pub struct RequestView {
-    #[serde(flatten)]
-    pub options: OptionsView,
-    #[serde(flatten)]
-    pub wishes: WishesView,
-}
-
-/// A create request in JSON: an asset, and any of the options.
-#[derive(ToSchema)]
-#[schema(as = CreateRig)]
-pub struct CreateView {
-    /// Id of an asset; or a small mesh in the request itself, as
-    /// `{"inline": {"media_type": "model/gltf-binary", "base64": "…"}}`, 4 MiB at most.
-    #[schema(value_type = String, example = "ast_01jdf5fj5rfxm8s1m2q1d2zt8v")]
-    pub asset: String,
-    #[schema(inline)]
-    pub options: OptionsView,
-}
-
-/// Which file to write of a rig.
-#[derive(ToSchema)]
-#[schema(as = ExportRig)]
-pub struct ExportView {
-    /// `glb`, `gltf`, `rig_json`, `rignet_txt` or `preview_png`.
-    #[schema(example = "gltf")]
-    pub output: String,
-    /// Joints per vertex at most, if not as the rig was asked for. Not more than were made.
-    #[schema(example = 2, minimum = 1, maximum = 8)]
-    pub max_influences: Option<usize>,
 }
 
 /// An upload that is kept, to be rigged more than once.
@@ -387,6 +261,7 @@ impl From<&Job> for JobView {
             stage: job.stage.map(|stage| stage.name()),
             progress: job.progress,
             queue_position: job.queue_position,
+            estimated_seconds_left: estimated_seconds_left(job),
             cancel_requested: job.cancel_requested,
             attempt: job.attempt,
             created_at: rfc3339(job.created_at),
@@ -417,6 +292,15 @@ impl From<&Job> for JobView {
             },
         }
     }
+}
+
+/// The time that the rest takes if it goes on as it went so far. Nothing is said before there is something to go by.
+fn estimated_seconds_left(job: &Job) -> Option<u64> {
+    const PROGRESS_TOLD: u8 = 10;
+    let began = job.started_at.filter(|_| job.state == JobState::Running && job.progress >= PROGRESS_TOLD)?;
+    let taken = SystemTime::now().duration_since(began).ok()?.as_secs_f64();
+    let (done, left) = (f64::from(job.progress), f64::from(100 - job.progress.min(100)));
+    Some((taken * left / done).ceil() as u64)
 }
 
 /// Milliseconds in the queue and per stage, in the order of the work.
@@ -451,40 +335,6 @@ impl ArtifactView {
             bytes: artifact.bytes,
             sha256: hex(&artifact.sha256),
             url: format!("{}/artifacts/{}", job_path(job), artifact.name),
-        }
-    }
-}
-
-impl From<&RigOptions> for OptionsView {
-    fn from(options: &RigOptions) -> Self {
-        let (detail, bandwidth) = match options.level_of_detail {
-            LevelOfDetail::Detail(detail) => (Some(detail), None),
-            LevelOfDetail::Bandwidth(bandwidth) => (None, Some(bandwidth)),
-        };
-        Self {
-            method: options.method.clone().unwrap_or_else(|| "auto".to_owned()),
-            detail,
-            bandwidth,
-            symmetry: options.symmetry.name(),
-            skin_method: skin_method_name(options.skin_method),
-            skeleton: options.skeleton.as_ref().map(|skeleton| format!("{} joints", skeleton.joints.len())),
-            max_influences: options.max_influences,
-            seed: options.seed,
-            up: axis_name(options.up),
-            front: axis_name(options.front),
-            existing_rig: options.existing_rig.name(),
-            outputs: options.outputs.iter().map(|output| output.name()).collect(),
-        }
-    }
-}
-
-impl From<&JobRequest> for WishesView {
-    fn from(request: &JobRequest) -> Self {
-        Self {
-            priority: request.priority.name(),
-            timeout_seconds: request.timeout.as_secs(),
-            retention_hours: request.retention.as_secs().div_ceil(3600),
-            labels: request.labels.clone(),
         }
     }
 }

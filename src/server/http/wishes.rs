@@ -26,7 +26,6 @@ const LABEL_VALUE_MAX: usize = 256;
 /// Fields that callers of other services know, or that are to come, and what to do instead. Refused rather than
 /// ignored; a field that [`OptionsReader`] has learnt is read before this list is looked at.
 const NOT_HERE: &[(&str, &str)] = &[
-    ("skeleton", "rig the mesh, then POST a skeleton of yours to {id}:reskin"),
     ("category", "every kind of character is rigged the same way"),
     ("up_axis", "it is called up here"),
     ("forward_axis", "it is called front here"),

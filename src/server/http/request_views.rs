@@ -1,0 +1,167 @@
+//! What a create request says, as JSON, as parameters, and as it is told back with the job.
+
+use crate::jobs::options::{axis_name, skin_method_name};
+use crate::jobs::{JobRequest, LevelOfDetail, RigOptions};
+use serde::Serialize;
+use std::collections::BTreeMap;
+use utoipa::{IntoParams, ToSchema};
+
+/// Options of a rig; each may be given as query parameter, form field or member of the JSON part `options`.
+#[derive(Debug, Serialize, ToSchema, IntoParams)]
+#[schema(as = RigOptions)]
+#[into_params(parameter_in = Query)]
+pub struct OptionsView {
+    /// A method of `GET /v1/methods`, or `auto`.
+    #[param(required = false, default = "auto")]
+    #[schema(example = "auto", required = false)]
+    pub method: String,
+    /// How many joints: 0 (few) to 1 (many). Not together with `bandwidth`.
+    #[param(required = false, default = 0.5, minimum = 0, maximum = 1)]
+    #[schema(example = 0.5, minimum = 0, maximum = 1, required = false)]
+    pub detail: Option<f64>,
+    /// For experts: RigNet's mean-shift bandwidth in units of the longest side; larger means fewer joints.
+    #[param(required = false, minimum = 0.005, maximum = 0.5)]
+    #[schema(example = json!(null), minimum = 0.005, maximum = 0.5, required = false)]
+    pub bandwidth: Option<f64>,
+    /// `auto`, `on` or `off`.
+    #[param(required = false, default = "auto")]
+    #[schema(example = "auto", required = false)]
+    pub symmetry: &'static str,
+    /// What weighs the vertices: `auto`, `rignet`, `geodesic_voxel` or `geodesic_heat`.
+    #[param(required = false, default = "auto")]
+    #[schema(example = "auto")]
+    pub skin_method: &'static str,
+    /// A skeleton to make weights for, instead of making one: the text of a `rig.json`, of which `format` and `joints` are
+    /// read; in JSON also as an object. It stays as it is. A job shows how many joints it has.
+    #[param(required = false)]
+    #[schema(example = json!(null), required = false)]
+    pub skeleton: Option<String>,
+    /// Joints per vertex at most.
+    #[param(required = false, default = 4, minimum = 1, maximum = 8)]
+    #[schema(example = 4, minimum = 1, maximum = 8, required = false)]
+    pub max_influences: usize,
+    /// The same bytes for the same seed.
+    #[param(required = false, default = 0, minimum = 0)]
+    #[schema(example = 0, minimum = 0, required = false)]
+    pub seed: u64,
+    /// Which way is up: `auto`, `x`, `-x`, `y`, `-y`, `z` or `-z`.
+    #[param(required = false, default = "auto")]
+    #[schema(example = "auto", required = false)]
+    pub up: &'static str,
+    /// Which way the character faces, in the same words.
+    #[param(required = false, default = "auto")]
+    #[schema(example = "auto", required = false)]
+    pub front: &'static str,
+    /// For a file that has a skeleton: `reject` or `replace`.
+    #[param(required = false, default = "reject")]
+    #[schema(example = "reject", required = false)]
+    pub existing_rig: &'static str,
+    /// Files to make: `glb`, `gltf`, `rig_json`, `rignet_txt`, `preview_png`. In a query or form, separated by commas.
+    #[param(required = false, style = Form, explode = false)]
+    #[schema(example = json!(["glb", "rig_json"]), required = false)]
+    pub outputs: Vec<&'static str>,
+}
+
+/// How the job is treated.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(as = JobWishes)]
+pub struct WishesView {
+    /// What runs first when jobs wait: `low`, `normal` or `high`.
+    #[schema(example = "normal", required = false)]
+    pub priority: &'static str,
+    /// Longest run.
+    #[schema(example = 300, minimum = 1, required = false)]
+    pub timeout_seconds: u64,
+    /// How long results are kept.
+    #[schema(example = 24, minimum = 1, required = false)]
+    pub retention_hours: u64,
+    /// Words of your own, to find it by; 16 at most.
+    #[schema(example = json!({"project": "knights"}), required = false)]
+    pub labels: BTreeMap<String, String>,
+}
+
+/// The same as query parameters or fields of a form.
+#[derive(IntoParams)]
+#[into_params(parameter_in = Query)]
+pub struct WishesParameters {
+    /// What runs first when jobs wait: `low`, `normal` or `high`.
+    #[param(default = "normal", example = "normal")]
+    pub priority: Option<String>,
+    /// Longest run; at most what `GET /v1/methods` says.
+    #[param(minimum = 1, example = 120)]
+    pub timeout_seconds: Option<u64>,
+    /// How long results are kept; at most what `GET /v1/methods` says.
+    #[param(minimum = 1, example = 2)]
+    pub retention_hours: Option<u64>,
+    /// Words of your own, to find it by: `name=value,name=value`.
+    #[param(example = "project=knights")]
+    pub labels: Option<String>,
+}
+
+/// What was asked, defaults filled in.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(as = RigRequest)]
+pub struct RequestView {
+    #[serde(flatten)]
+    pub options: OptionsView,
+    #[serde(flatten)]
+    pub wishes: WishesView,
+}
+
+/// A create request in JSON: an asset, and any of the options.
+#[derive(ToSchema)]
+#[schema(as = CreateRig)]
+pub struct CreateView {
+    /// Id of an asset; or a small mesh in the request itself, as
+    /// `{"inline": {"media_type": "model/gltf-binary", "base64": "…"}}`, 4 MiB at most.
+    #[schema(value_type = String, example = "ast_01jdf5fj5rfxm8s1m2q1d2zt8v")]
+    pub asset: String,
+    #[schema(inline)]
+    pub options: OptionsView,
+}
+
+/// Which file to write of a rig.
+#[derive(ToSchema)]
+#[schema(as = ExportRig)]
+pub struct ExportView {
+    /// `glb`, `gltf`, `rig_json`, `rignet_txt` or `preview_png`.
+    #[schema(example = "gltf")]
+    pub output: String,
+    /// Joints per vertex at most, if not as the rig was asked for. Not more than were made.
+    #[schema(example = 2, minimum = 1, maximum = 8)]
+    pub max_influences: Option<usize>,
+}
+
+impl From<&RigOptions> for OptionsView {
+    fn from(options: &RigOptions) -> Self {
+        let (detail, bandwidth) = match options.level_of_detail {
+            LevelOfDetail::Detail(detail) => (Some(detail), None),
+            LevelOfDetail::Bandwidth(bandwidth) => (None, Some(bandwidth)),
+        };
+        Self {
+            method: options.method.clone().unwrap_or_else(|| "auto".to_owned()),
+            detail,
+            bandwidth,
+            symmetry: options.symmetry.name(),
+            skin_method: skin_method_name(options.skin_method),
+            skeleton: options.skeleton.as_ref().map(|skeleton| format!("{} joints", skeleton.joints.len())),
+            max_influences: options.max_influences,
+            seed: options.seed,
+            up: axis_name(options.up),
+            front: axis_name(options.front),
+            existing_rig: options.existing_rig.name(),
+            outputs: options.outputs.iter().map(|output| output.name()).collect(),
+        }
+    }
+}
+
+impl From<&JobRequest> for WishesView {
+    fn from(request: &JobRequest) -> Self {
+        Self {
+            priority: request.priority.name(),
+            timeout_seconds: request.timeout.as_secs(),
+            retention_hours: request.retention.as_secs().div_ceil(3600),
+            labels: request.labels.clone(),
+        }
+    }
+}
