@@ -191,7 +191,7 @@ mod tests {
             let variable = format!("RIGSMITH_{}", name.to_uppercase());
             assert_eq!(setting.get_env().and_then(|env| env.to_str()), Some(variable.as_str()));
             assert_eq!(setting.get_long(), Some(name.replace('_', "-").as_str()));
-            let off = ["config", "keys", "metrics_listen", "otlp_endpoint", "otlp_headers"];
+            let off = ["config", "keys", "memory_mib", "metrics_listen", "otlp_endpoint", "otlp_headers"];
             assert_eq!(off.contains(&name), setting.get_default_values().is_empty(), "{name}");
         }
     }

@@ -9,15 +9,15 @@ use std::path::PathBuf;
 
 /// Weigh a mesh over a skeleton of your own.
 ///
-/// The skeleton stays as it is: names, order, parents and positions. It is read from a rig.json (`rigsmith.rig/1`), where
-/// only `format` and `joints` are needed: `{"format": "rigsmith.rig/1", "joints": [{"name": "hips", "parent": null,
+/// The skeleton stays as it is: names, order, parents and positions. It is read from a .glb that
+/// holds one, or from a rig.json (`rigsmith.rig/1`), where only `format` and `joints` are needed: `{"format": "rigsmith.rig/1", "joints": [{"name": "hips", "parent": null,
 /// "position": [0, 1, 0]}, ...]}`, parents by index and before their children, positions in the mesh's own coordinates.
 #[derive(Args)]
 pub struct SkinArguments {
     /// The mesh: .glb, .gltf, .obj, .ply, .stl, .fbx, or a .zip of one with its textures.
     input: PathBuf,
-    /// The skeleton.
-    #[arg(long, value_name = "FILE.rig.json")]
+    /// The skeleton: .rig.json or .glb.
+    #[arg(long, value_name = "FILE")]
     skeleton: PathBuf,
     #[command(flatten)]
     options: AnySkeletonArguments,

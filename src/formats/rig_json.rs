@@ -55,6 +55,8 @@ pub enum RigFileError {
     Json { line: usize, column: usize, problem: String },
     #[error("the format is {found:?}, expected {FORMAT:?}")]
     Format { found: String },
+    #[error("the skeleton cannot be read: {problem}")]
+    Glb { problem: String },
     #[error("the skeleton has no joints")]
     NoJoints,
     #[error("the skeleton has {found} joints, but at most {JOINTS_MAX} are taken")]
@@ -71,6 +73,7 @@ impl RigFileError {
         match self {
             Self::Json { .. } => "invalid_json",
             Self::Format { .. }
+            | Self::Glb { .. }
             | Self::NoJoints
             | Self::TooManyJoints { .. }
             | Self::Joint { .. }
@@ -83,6 +86,7 @@ impl RigFileError {
         match self {
             Self::Json { .. } => "send the rig.json of an earlier rig, edited",
             Self::Format { .. } => "convert the file to this format, or fetch rig.json again",
+            Self::Glb { .. } => "send a GLB file with a skin, or a rig.json",
             Self::NoJoints => "give at least a root joint",
             Self::TooManyJoints { .. } => "leave helper joints out",
             Self::Joint { .. } => {
@@ -166,10 +170,10 @@ struct Read {
 }
 
 #[derive(Deserialize)]
-struct ReadJoint {
-    name: String,
-    parent: Option<usize>,
-    position: [f64; 3],
+pub(super) struct ReadJoint {
+    pub(super) name: String,
+    pub(super) parent: Option<usize>,
+    pub(super) position: [f64; 3],
 }
 
 #[derive(Deserialize)]
@@ -198,7 +202,8 @@ pub fn read(bytes: &[u8]) -> Result<RigFile, RigFileError> {
     Ok(RigFile { method: read.method, skins: skins.collect::<Result<_, _>>()?, skeleton, report: read.report })
 }
 
-fn skeleton(read: Vec<ReadJoint>) -> Result<Skeleton, RigFileError> {
+/// The joints as a skeleton, if they are one tree.
+pub(super) fn skeleton(read: Vec<ReadJoint>) -> Result<Skeleton, RigFileError> {
     if read.is_empty() {
         return Err(RigFileError::NoJoints);
     }

@@ -202,13 +202,6 @@ impl ErrorCode {
 
     /// Whether the same request may succeed later, unchanged.
     pub fn retryable(self) -> bool {
-        matches!(
-            self,
-            ErrorCode::Timeout
-                | ErrorCode::OutOfMemory
-                | ErrorCode::ModelUnavailable
-                | ErrorCode::WorkerLost
-                | ErrorCode::Draining
-        )
+        matches!(self, ErrorCode::Timeout | ErrorCode::ModelUnavailable | ErrorCode::WorkerLost | ErrorCode::Draining)
     }
 }

@@ -2,16 +2,19 @@
 
 use super::failure::{ErrorCode, JobError};
 use crate::formats::rig_json::{self, RigFileError};
+use crate::formats::{Limits, gltf};
 use crate::pipelines::Skeleton;
 use std::sync::Arc;
 
-/// Reads the skeleton of a `rigsmith.rig/1` file for [`super::RigOptions::skeleton`]. Weights and report are not looked at
-/// beyond their form; positions are in the space of the upload that the skeleton is for.
+/// Reads a skeleton for [`super::RigOptions::skeleton`] from a `rigsmith.rig/1` file or from a GLB file with a skin. Weights are
+/// not looked at beyond their form; positions are in the space of the upload that the skeleton is for.
 pub fn read_skeleton(bytes: &[u8]) -> Result<Arc<Skeleton>, JobError> {
-    match rig_json::read(bytes) {
-        Ok(file) => Ok(Arc::new(file.skeleton)),
-        Err(error) => Err(refusal(&error)),
-    }
+    let read = if gltf::is_glb(bytes) {
+        gltf::read_skeleton(bytes, &Limits::default())
+    } else {
+        rig_json::read(bytes).map(|file| file.skeleton)
+    };
+    read.map(Arc::new).map_err(|error| refusal(&error))
 }
 
 /// The same skeleton as the shortest file that holds it: what two senders mean alike is alike.

@@ -144,6 +144,35 @@ fn the_program_gives_back_the_skeleton_that_it_was_given() {
     }
 }
 
+/// Rig to GLB, then the GLB's skeleton on the bare mesh: the same joints at the same places, within single precision.
+#[test]
+fn a_glb_gives_its_skeleton_too() {
+    let folder = tempfile::tempdir().expect("folder");
+    let input = sample();
+    let input = input.to_str().expect("path");
+    succeeded(&rigsmith(folder.path(), &["rig", input, "-o", "rigged.glb", "-o", "rigged.rig.json"]));
+    succeeded(&rigsmith(folder.path(), &["skin", input, "--skeleton", "rigged.glb", "-o", "again.rig.json"]));
+    let read = |name: &str| -> Value {
+        serde_json::from_slice(&std::fs::read(folder.path().join(name)).expect(name)).expect("JSON")
+    };
+    let (first, again) = (read("rigged.rig.json"), read("again.rig.json"));
+    let of = |rig: &Value| rig["joints"].as_array().expect("joints").clone();
+    let place = |joint: &Value| -> DVec3 {
+        let numbers: Vec<f64> = joint["position"].as_array().expect("place").iter().filter_map(Value::as_f64).collect();
+        DVec3::from_slice(&numbers)
+    };
+    let parent = |rig: &Value, joint: &Value| joint["parent"].as_u64().map(|at| of(rig)[at as usize]["name"].clone());
+    assert_eq!(of(&first).len(), of(&again).len());
+    for joint in of(&first) {
+        let same = of(&again).into_iter().find(|other| other["name"] == joint["name"]).expect("the same name");
+        assert!(place(&joint).distance(place(&same)) < 1e-5);
+        assert_eq!(parent(&first, &joint), parent(&again, &same));
+    }
+    let bare = rigsmith(folder.path(), &["skin", input, "--skeleton", input, "-o", "none.rig.json"]);
+    assert_eq!(bare.status.code(), Some(3), "{}", stderr(&bare));
+    assert!(stderr(&bare).contains("no joints"), "{}", stderr(&bare));
+}
+
 #[test]
 fn a_rig_can_be_weighed_by_voxels() {
     let folder = tempfile::tempdir().expect("folder");

@@ -181,6 +181,27 @@ def read_only_database(binary, folder):
             "writable again, it goes on")
 
 
+def cancel_at_any_time(binary, folder):
+    """`:cancel` at twenty moments of a running job."""
+    service = Service(binary, os.path.join(folder, "data"), os.path.join(folder, "log")).start()
+    _, alone_s = service.until_over(submitted(service, 100), 300)
+    took, stages = [], set()
+    for number in range(20):
+        path = submitted(service, number)
+        while service.json(path)["state"] == "queued":
+            time.sleep(0.005)
+        time.sleep(alone_s * number / 20)
+        asked = time.monotonic()
+        status = service.request("POST", f"{path}:cancel")[0]
+        job, _ = service.until_over(path, 60)
+        if status == 200 and job["state"] == "canceled":
+            took.append(time.monotonic() - asked)
+            stages.add(job["stage"] or "none")
+    assert took and max(took) <= 2.5, took
+    assert service.stop() == 0
+    return f"{len(took)} were canceled in time, in {', '.join(sorted(stages))}; the slowest after {max(took):.1f} s"
+
+
 def second_process(binary, folder):
     """A second service on the same folder."""
     data = os.path.join(folder, "data")
@@ -217,7 +238,8 @@ def cut_upload(binary, folder):
     return "no job, and no byte of it left after the next start"
 
 
-FAULTS = [full_disk, full_quota, stopped_process, lost_twice, too_much_memory, read_only_database, second_process, cut_upload]
+FAULTS = [full_disk, full_quota, stopped_process, lost_twice, too_much_memory, read_only_database,
+          cancel_at_any_time, second_process, cut_upload]
 
 
 def main():

@@ -19,12 +19,14 @@ mod meshopt;
 mod node_graph;
 mod references;
 mod scene_document;
+mod skeleton;
 mod skin_check;
 mod skin_weights;
 mod triangles;
 
 pub use decode::decode;
 pub use encode::{EncodeError, EncodeOptions, JointNames, encode_glb, encode_gltf, joint_names};
+pub use skeleton::{is_glb, read_skeleton};
 pub use skin_weights::WeightFormat;
 
 use serde_json::Value;

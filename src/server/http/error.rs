@@ -119,7 +119,7 @@ impl Code {
             Code::Work(Work::NoJointsFound) => ("no_joints_found", Status::UNPROCESSABLE_ENTITY, "No joints found", "The method found no joints in this mesh, with any setting that it tried."),
             Code::Work(Work::DegenerateSkeleton) => ("degenerate_skeleton", Status::UNPROCESSABLE_ENTITY, "Degenerate skeleton", "The joints found make no usable skeleton."),
             Code::Work(Work::Timeout) => ("timeout", Status::GATEWAY_TIMEOUT, "The job took too long", "The job was stopped after the longest time that the service gives one."),
-            Code::Work(Work::OutOfMemory) => ("out_of_memory", Status::SERVICE_UNAVAILABLE, "Not enough memory", "The job needs more memory than the service gives one."),
+            Code::Work(Work::OutOfMemory) => ("out_of_memory", Status::PAYLOAD_TOO_LARGE, "Not enough memory", "The job needs more memory than the service gives its jobs."),
             Code::Work(Work::NumericalFailure) => ("numerical_failure", Status::INTERNAL_SERVER_ERROR, "A network gave no numbers", "A network gave values that are infinite or not a number. This is a defect of the service."),
             Code::Work(Work::OutputInvalid) => ("output_invalid", Status::INTERNAL_SERVER_ERROR, "The result failed its check", "The file made did not pass its validation and is withheld. This is a defect of the service."),
             Code::Work(Work::ModelUnavailable) => ("model_unavailable", Status::SERVICE_UNAVAILABLE, "A network is unavailable", "The method's networks are not here, or failed their self-test. No other method is used in its place."),

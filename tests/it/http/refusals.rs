@@ -156,7 +156,7 @@ async fn too_large_uploads_are_refused_by_their_declared_length_and_by_what_arri
     service
         .until(service.get("/v1/rigs").await.json()["data"][0]["links"]["self"].as_str().expect("a link"), "failed")
         .await;
-    service.keeps(1);
+    service.keeps(0);
 }
 
 #[tokio::test]

@@ -63,6 +63,34 @@ async fn jobs_of_version_1_go_on() {
     assert_eq!((retried.lease.job, retried.lease.attempt), (jobs[2].id, 2));
 }
 
+/// What no version can work on: an option of the past, and a file that is not there.
+const JOBS_OF_NOBODY: &str = r#"
+    INSERT INTO jobs (id, caller, options, labels, files, priority, timeout_ms, retention_ms, memory_bytes, state,
+        created_at, queued_at)
+    VALUES
+    (x'01900000000070008000000000000001', '', '{"an_option_of_the_past":1}', '{}', '[]',
+     0, 300000, 86400000, 1000, 'queued', 1, 1),
+    (x'01900000000070008000000000000002', '', '{}', '{}',
+     '[{"name":"a.obj","bytes":4,"sha256":"0000000000000000000000000000000000000000000000000000000000000000"}]',
+     0, 300000, 86400000, 1000, 'queued', 1, 1);
+"#;
+
+#[tokio::test]
+async fn jobs_that_cannot_be_worked_on_end_instead_of_blocking_the_queue() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path().join("jobs.db");
+    let store = open(&path).await.expect("opens");
+    sqlx::raw_sql(JOBS_OF_NOBODY).execute(&file(&path).await).await.expect("jobs");
+    for _ in 0..2 {
+        assert!(store.claim("worker", u64::MAX).await.expect("answers").is_none());
+    }
+    let jobs = store.list(&Caller::anonymous(), &JobFilter::default(), None, 100).await.expect("answers");
+    assert_eq!(jobs.len(), 2);
+    for job in jobs {
+        assert_eq!((job.state, job.error.map(|error| error.code)), (JobState::Failed, Some(ErrorCode::Internal)));
+    }
+}
+
 #[tokio::test]
 async fn every_version_leads_to_the_same_schema() {
     let mut schemas = Vec::new();

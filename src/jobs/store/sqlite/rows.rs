@@ -83,10 +83,8 @@ fn request(row: &SqliteRow) -> Result<JobRequest, StoreFailure> {
     let json = |column: &str| codec::parse(row.try_get(column)?, column);
     let asset = row.try_get::<Option<&[u8]>, _>("asset")?.map(bytes).transpose()?.map(AssetId::from_bytes);
     let deadline = row.try_get::<Option<i64>, _>("deadline_at")?.map(Timestamp).map(SystemTime::from);
-    // A job that is over may have options that this version does not know any more: it stays readable.
-    let options = codec::options_from(&json("options")?);
-    let over = codec::state_from(row.try_get("state")?)?.is_final();
-    let options = if over { options.unwrap_or_else(|_| RigOptions::default()) } else { options? };
+    // Options that this version does not know any more: the job stays readable, and is not worked on.
+    let options = codec::options_from(&json("options")?).unwrap_or_else(|_| RigOptions::default());
     Ok(JobRequest {
         options,
         files: codec::files_from(&json("files")?)?,

@@ -1,12 +1,14 @@
 //! Jobs in the hands of workers.
 
+use super::ending::end;
 use super::{append, reading, rows};
 use crate::jobs::clock::Timestamp;
 use crate::jobs::event::EventKind;
+use crate::jobs::failure::{ErrorCode, JobError};
 use crate::jobs::ids::JobId;
-use crate::jobs::job::{Job, JobState};
+use crate::jobs::job::{FileInfo, Job, JobState};
 use crate::jobs::stage::Stage;
-use crate::jobs::store::{BlobPlace, Claim, Lease, LeaseState, PASSING_TIME, StoreFailure};
+use crate::jobs::store::{BlobPlace, Claim, Lease, LeaseState, PASSING_TIME, StoreFailure, codec};
 use sqlx::sqlite::SqlitePool;
 use sqlx::{Row, SqliteConnection};
 
@@ -36,8 +38,11 @@ pub async fn claim(
     .bind(id.to_bytes().to_vec())
     .execute(&mut *connection)
     .await?;
-    let job =
-        reading::snapshot(connection, id).await?.ok_or_else(|| StoreFailure::new(&"a waiting job is not there"))?;
+    let Some((job, (files, skeleton))) = whole(connection, id).await? else {
+        // It would stand at the head of the queue for ever.
+        end(connection, id, JobState::Failed, Some(&unreadable()), now).await?;
+        return Ok(None);
+    };
     sqlx::query(
         "INSERT INTO callers (name, served) SELECT ?, coalesce(max(served), 0) + 1 FROM callers WHERE true \
          ON CONFLICT (name) DO UPDATE SET served = excluded.served",
@@ -46,31 +51,39 @@ pub async fn claim(
     .execute(&mut *connection)
     .await?;
     append(connection, id, now, &[EventKind::State { state: JobState::Running, attempt: job.attempt }]).await?;
-    let (files, skeleton) = places(connection, &job).await?;
     let lease = Lease { job: id, attempt: job.attempt };
     let time_left = job.request.deadline.map(|deadline| Timestamp::from(deadline).since(now));
     Ok(Some(Claim { lease, files, skeleton, memory_bytes, time_left, job }))
 }
 
-type Places = (Vec<(crate::jobs::job::FileInfo, BlobPlace)>, Option<BlobPlace>);
+type Places = (Vec<(FileInfo, BlobPlace)>, Option<BlobPlace>);
 
-/// Where the files of a job are.
-async fn places(connection: &mut SqliteConnection, job: &Job) -> Result<Places, StoreFailure> {
-    let gone = || StoreFailure::new(&"a file of a waiting job is not written down");
-    let mut files = Vec::with_capacity(job.request.files.len());
-    for file in &job.request.files {
-        let place = rows::blob(connection, &file.sha256).await?.ok_or_else(gone)?;
-        files.push((file.clone(), place));
-    }
-    let digest: Option<Vec<u8>> = sqlx::query_scalar("SELECT skeleton FROM jobs WHERE id = ?")
-        .bind(job.id.to_bytes().to_vec())
+/// A job with all that its work needs; `None` when this version cannot read what another one wrote, or a file is gone.
+async fn whole(connection: &mut SqliteConnection, id: JobId) -> Result<Option<(Job, Places)>, StoreFailure> {
+    let row = sqlx::query("SELECT options, skeleton FROM jobs WHERE id = ?")
+        .bind(id.to_bytes().to_vec())
         .fetch_one(&mut *connection)
         .await?;
-    let skeleton = match digest {
-        Some(digest) => Some(rows::blob(connection, &rows::bytes(&digest)?).await?.ok_or_else(gone)?),
+    let options = codec::parse(row.try_get("options")?, "options").and_then(|options| codec::options_from(&options));
+    let (Ok(_), Some(job)) = (options, reading::snapshot(connection, id).await?) else { return Ok(None) };
+    let mut files = Vec::with_capacity(job.request.files.len());
+    for file in &job.request.files {
+        let Some(place) = rows::blob(connection, &file.sha256).await? else { return Ok(None) };
+        files.push((file.clone(), place));
+    }
+    let skeleton = match row.try_get::<Option<&[u8]>, _>("skeleton")? {
+        Some(digest) => match rows::blob(connection, &rows::bytes(digest)?).await? {
+            Some(place) => Some(place),
+            None => return Ok(None),
+        },
         None => None,
     };
-    Ok((files, skeleton))
+    Ok(Some((job, (files, skeleton))))
+}
+
+fn unreadable() -> JobError {
+    JobError::new(ErrorCode::Internal, "the job was written down by another version, or its files are gone")
+        .hint("send the request again")
 }
 
 fn lease_state(cancel_requested: Option<i64>) -> LeaseState {
