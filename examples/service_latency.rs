@@ -1,5 +1,7 @@
 //! What the service costs on top of the rig: an upload with `Prefer: wait` over HTTP, beside the same rig in the same
-//! warm process, turn by turn. Prints the figures of `docs/reliability.md`.
+//! warm process, turn by turn. On a busy machine the rig's own time varies by more than the service costs, so the cost is
+//! taken within each request: its whole time less the time of its stages. (They are told in whole milliseconds, which
+//! makes the cost look up to 10 ms larger.) Prints the figures of `docs/bad-input-and-load.md`.
 //!
 //!     cargo run --release --example service_latency [ROUNDS]
 
@@ -45,26 +47,29 @@ fn main() -> Result<(), Box<dyn Error>> {
         Ok(began.elapsed().as_secs_f64() * 1000.0)
     };
     let agent = ureq::Agent::new_with_defaults();
-    let served = || -> Result<f64, Box<dyn Error>> {
+    let served = || -> Result<(f64, f64), Box<dyn Error>> {
         let began = Instant::now();
         let request = agent.post(&url).header("content-type", "model/gltf-binary").header("prefer", "wait=60");
         let mut response = request.header("cache-control", "no-cache").send(&glb[..])?;
         let job: serde_json::Value = response.body_mut().read_json()?;
         let took = began.elapsed().as_secs_f64() * 1000.0;
-        if job["state"] == "succeeded" { Ok(took) } else { Err(format!("{job:#}").into()) }
+        let stages = job["timings_ms"].as_object().into_iter().flatten().filter(|(name, _)| *name != "queue");
+        let work: f64 = stages.filter_map(|(_, time)| time.as_f64()).sum();
+        if job["state"] == "succeeded" { Ok((took, took - work)) } else { Err(format!("{job:#}").into()) }
     };
     direct()?;
     served()?;
-    let (mut alone, mut over_http) = (Vec::new(), Vec::new());
+    let (mut alone, mut over_http, mut extra) = (Vec::new(), Vec::new(), Vec::new());
     for _ in 0..rounds {
         alone.push(direct()?);
-        over_http.push(served()?);
+        let (took, cost) = served()?;
+        over_http.push(took);
+        extra.push(cost);
     }
-    let mut extra: Vec<f64> = over_http.iter().zip(&alone).map(|(served, alone)| served - alone).collect();
     let (alone, over_http, extra) = (median(&mut alone), median(&mut over_http), median(&mut extra));
     println!("{} bytes, {VERTICES} vertices, {rounds} rounds, {threads} threads; medians", glb.len());
     println!("rig in the process: {alone:.1} ms; over HTTP with Prefer: wait: {over_http:.1} ms");
-    println!("the service costs {extra:.1} ms (budget {BUDGET_MS} ms)");
+    println!("beside the stages of the work, a request takes {extra:.1} ms (budget {BUDGET_MS} ms)");
     if extra <= BUDGET_MS { Ok(()) } else { Err("over the budget".into()) }
 }
 
