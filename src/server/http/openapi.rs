@@ -104,8 +104,9 @@ const RESKINNING: &[Code] = &[
     Code::Work(ErrorCode::SkeletonInvalid),
     Code::Work(ErrorCode::OutOfMemory),
 ];
-/// Refusals of whatever asks for a key.
-const GUARDED: &[Code] = &[Code::Unauthenticated, Code::RateLimited, Code::Work(ErrorCode::Internal)];
+/// Refusals of whatever asks for a key, and of a service whose jobs cannot be read or written.
+const GUARDED: &[Code] =
+    &[Code::Unauthenticated, Code::RateLimited, Code::StoreUnavailable, Code::Work(ErrorCode::Internal)];
 
 /// Which refusals each operation may answer with, by its id. Operations that are not here refuse nothing.
 const PROBLEMS: &[(&str, &[&[Code]])] = &[
