@@ -2,8 +2,9 @@
 
 use super::job::{Job, JobState};
 use super::perform::{NamedFile, Rigger};
-use super::queue::{Settings, StartError};
+use super::queue::StartError;
 use super::running::{Running, Stop};
+use super::settings::Settings;
 use super::store::{BlobPlace, JobStore, StoreFailure};
 use super::watchers::Watchers;
 use crate::storage::{Store, StoreError};

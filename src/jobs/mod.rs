@@ -6,7 +6,8 @@
 //! 1. [`options`]     what a caller may ask for, checked field by field
 //! 2. [`upload`]      [`Upload`], [`Received`]: files while they arrive; dropped, they leave nothing
 //! 3. [`submission`]  [`Submission`]: who asks for what, how urgently; [`Refusal`]: why not
-//! 4. [`queue`]       [`Jobs`]: the one way to jobs and assets, see below
+//! 4. [`queue`]       [`Jobs`]: the one way to jobs and assets, see below; its parts `checking` (a look without a job), `exporting`
+//!    (other forms of a rig) and `keeping` (assets, contents) stand in files of their own
 //! 5. [`job`], [`asset`], [`event`], [`page`]  what a caller sees; [`failure`] why there is no rig, by who must act
 //!
 //! | wish | call |
@@ -30,6 +31,7 @@
 //! two requests the same).
 
 pub mod asset;
+mod checking;
 pub mod clock;
 mod core;
 pub mod cores;
@@ -42,6 +44,7 @@ mod history;
 pub mod ids;
 pub mod job;
 mod keeper;
+mod keeping;
 pub mod memory;
 pub mod options;
 pub mod page;
@@ -50,6 +53,7 @@ pub mod queue;
 mod recipe;
 mod report;
 mod running;
+mod settings;
 mod skeleton;
 pub mod stage;
 pub mod store;
@@ -73,7 +77,8 @@ pub use page::{NoPage, Page};
 pub use perform::{
     Artifact, Availability, MethodInfo, ModelInfo, NamedFile, Outcome, Readiness, RigRequest, Rigger, Timing, Watch,
 };
-pub use queue::{Denied, Jobs, Settings, StartError};
+pub use queue::{Denied, Jobs, StartError};
+pub use settings::Settings;
 pub use skeleton::{canonical_skeleton, read_skeleton};
 pub use stage::Stage;
 pub use store::{Counts, JobFilter, Remembered, StoreFailure};

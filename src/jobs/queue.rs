@@ -1,79 +1,27 @@
-//! The one way to jobs, for every door: submit, look, wait, watch, cancel, delete; keep assets. Refuses early instead
+//! The one way to jobs, for every door: submit, look, wait, watch, cancel, delete. Refuses early instead
 //! of queueing without bound.
 
-use super::asset::PutAsset;
 use super::clock::{SteadyClock, Timestamp};
 use super::core::{Core, OwnRuntime};
 use super::failure::JobError;
 use super::history::Events;
-use super::ids::{AssetId, JobId};
+use super::ids::JobId;
 use super::job::{Job, JobState};
 use super::options::{FieldError, FieldProblem, RigOptions};
 use super::page::{NoPage, Page, read_token, token};
-use super::perform::{Availability, MethodInfo, NamedFile, Readiness, RigRequest, Rigger, Watch};
+use super::perform::{Availability, MethodInfo, Readiness, Rigger};
 use super::running::Stop;
+use super::settings::Settings;
 use super::store::sqlite::SqliteStore;
-use super::store::{Admission, Change, Counts, JobFilter, JobStore, LEASE, NewFiles, NewJob, Remembered, StoreFailure};
-use super::submission::{Caller, Missing, Refusal, Source, Submission, Submitted};
-use super::upload::{Received, Upload};
-use super::{Asset, counted, keeper, memory, recipe, worker};
-use crate::cancellation::Cancellation;
-use crate::storage::{Bundle, Content, NewBlob, Store, StoreError};
+use super::store::{Admission, Change, Counts, JobFilter, JobStore, NewFiles, NewJob, Remembered, StoreFailure};
+use super::submission::{Caller, Refusal, Source, Submission, Submitted};
+use super::upload::Upload;
+use super::{counted, keeper, memory, recipe, worker};
+use crate::storage::{Bundle, Store, StoreError};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 use tokio::time::{Instant, timeout, timeout_at};
-
-/// Numbers that an operator sets.
-#[derive(Clone, Copy, Debug)]
-pub struct Settings {
-    /// Jobs that run at the same time, at least 1.
-    pub workers: usize,
-    /// Jobs that may wait.
-    pub queue_max: usize,
-    /// Running work is asked to stop after this time, or sooner when the caller says so.
-    pub job_time_max: Duration,
-    /// Results and assets are kept this long.
-    pub keep_time: Duration,
-    /// Final jobs are remembered this long,
-    pub records_time: Duration,
-    /// and up to this number of jobs.
-    pub records_max: usize,
-    /// How often deadlines and retention are looked at.
-    pub sweep_every: Duration,
-    /// Memory that all running jobs together may take. `None`: [`Settings::memory_max`] decides.
-    pub memory_bytes_max: Option<u64>,
-    /// A worker is taken for lost when it was not heard of for this long.
-    pub lease: Duration,
-}
-
-/// Memory that one job may take, unless the operator says otherwise.
-const JOB_MEMORY_BYTES: u64 = 2 << 30;
-
-impl Default for Settings {
-    fn default() -> Self {
-        Self {
-            workers: 1,
-            queue_max: 100,
-            job_time_max: Duration::from_secs(300),
-            keep_time: Duration::from_secs(24 * 3600),
-            records_time: Duration::from_secs(30 * 24 * 3600),
-            records_max: 10_000,
-            sweep_every: Duration::from_millis(500),
-            memory_bytes_max: None,
-            lease: LEASE,
-        }
-    }
-}
-
-impl Settings {
-    /// Memory that all running jobs together may take: 2 GiB per worker, and no more than three quarters of what the
-    /// machine or container has.
-    pub fn memory_max(&self) -> u64 {
-        let wanted = JOB_MEMORY_BYTES.saturating_mul(self.workers.max(1) as u64);
-        self.memory_bytes_max.unwrap_or_else(|| memory::machine_share().unwrap_or(u64::MAX).min(wanted))
-    }
-}
 
 /// Why the service has no jobs.
 #[derive(Debug, thiserror::Error)]
@@ -208,7 +156,7 @@ impl Jobs {
         }
     }
 
-    fn method_exists(&self, options: &RigOptions) -> Result<(), Refusal> {
+    pub(super) fn method_exists(&self, options: &RigOptions) -> Result<(), Refusal> {
         let Some(wanted) = &options.method else { return Ok(()) };
         let methods = self.methods();
         match methods.iter().find(|method| method.name == *wanted).map(|method| &method.availability) {
@@ -320,100 +268,6 @@ impl Jobs {
         };
         let written = tokio::task::spawn_blocking(write).await.unwrap_or(Err(StoreError::Interrupted));
         written.map(Some).map_err(Refusal::Store)
-    }
-
-    /// What would be rigged, now and without a job.
-    pub async fn check(
-        &self,
-        caller: &Caller,
-        source: Source,
-        options: RigOptions,
-    ) -> Result<serde_json::Map<String, serde_json::Value>, Refusal> {
-        self.ready()?;
-        self.method_exists(&options)?;
-        let core = self.core().clone();
-        let Ok(permit) = core.checks.clone().try_acquire_owned() else {
-            let waiting = self.counts().await?.queued;
-            return Err(Refusal::QueueFull { waiting, retry_after: Duration::from_secs(1) });
-        };
-        let loaded = match source {
-            Source::Upload(received) => Files::Received(received),
-            Source::Asset(id) => Files::Loaded(self.load_asset(caller, id).await?),
-            Source::Job(id) => {
-                let job = self.get(caller, id).await?.ok_or(Refusal::NotFound(Missing::Job))?;
-                Files::Loaded(self.load_files(&job.request.files, Missing::Job).await?)
-            }
-        };
-        let span = tracing::Span::current();
-        let work = move || {
-            let (_permit, _entered) = (permit, span.enter());
-            let files = match loaded {
-                Files::Received(received) => read(&received).map_err(Refusal::Store)?,
-                Files::Loaded(files) => files,
-            };
-            let request = RigRequest { files, options, skeleton: None };
-            worker::guarded(|| core.rigger.check(&request, &Watch::new(Cancellation::default(), |_| {})))
-                .map_err(Refusal::Check)
-        };
-        match tokio::task::spawn_blocking(work).await {
-            Ok(checked) => checked,
-            Err(_) => Err(Refusal::Draining),
-        }
-    }
-
-    /// The files of an asset, read.
-    pub async fn load_asset(&self, caller: &Caller, id: AssetId) -> Result<Vec<NamedFile>, Refusal> {
-        let asset = self.asset(caller, id).await?.ok_or(Refusal::NotFound(Missing::Asset))?;
-        self.load_files(&asset.files, Missing::Asset).await
-    }
-
-    /// Files by their digests, read; the main one first.
-    pub async fn load_files(
-        &self,
-        files: &[super::job::FileInfo],
-        missing: Missing,
-    ) -> Result<Vec<NamedFile>, Refusal> {
-        let mut places = Vec::with_capacity(files.len());
-        for file in files {
-            let place = self.core().jobs.blob(&file.sha256).await?.ok_or(Refusal::NotFound(missing))?;
-            places.push((file.name.clone(), place));
-        }
-        self.core().load(&places).await.map_err(Refusal::Store)
-    }
-
-    /// Keeps an upload as an asset of `caller`, or finds the one that it is.
-    pub async fn put_asset(&self, caller: &Caller, received: Received) -> Result<PutAsset, Refusal> {
-        if self.core().is_draining() {
-            return Err(Refusal::Draining);
-        }
-        let (core, caller) = (self.core().clone(), caller.clone());
-        let memory_bytes = memory::expected_bytes(&received.files());
-        let put = self.core().detached(async move {
-            let (files, retention) = (received.blobs(), core.settings.keep_time);
-            let (asset, created, kept) = core.jobs.put_asset(&caller, &files, memory_bytes, retention).await?;
-            keep([Some(received.bundle), None], &kept);
-            Ok(PutAsset { asset, created })
-        });
-        Ok(put.await?)
-    }
-
-    pub async fn asset(&self, caller: &Caller, id: AssetId) -> Result<Option<Asset>, StoreFailure> {
-        self.core().jobs.asset(caller, id).await
-    }
-
-    /// `false`: there was none. Jobs that were made of it keep the files that they need.
-    pub async fn delete_asset(&self, caller: &Caller, id: AssetId) -> Result<bool, StoreFailure> {
-        let deleted = self.core().jobs.delete_asset(caller, id).await?;
-        if deleted {
-            self.core().collect_garbage().await?;
-        }
-        Ok(deleted)
-    }
-
-    /// The content of a file of an asset or a job, or of an artifact, while it is kept.
-    pub async fn open(&self, sha256: &[u8; 32]) -> Result<Option<Content>, StoreFailure> {
-        let place = self.core().jobs.blob(sha256).await?;
-        Ok(place.map(|place| self.core().files.content(&place.location, place.bytes)))
     }
 
     pub async fn get(&self, caller: &Caller, id: JobId) -> Result<Option<Job>, StoreFailure> {
@@ -548,21 +402,8 @@ impl Jobs {
     }
 }
 
-/// The files of a check.
-enum Files {
-    Received(Received),
-    Loaded(Vec<NamedFile>),
-}
-
-/// Reads an upload that belongs to nobody yet. Blocks.
-fn read(received: &Received) -> Result<Vec<NamedFile>, StoreError> {
-    let blobs = received.blobs();
-    let read = |blob: &NewBlob| Ok(NamedFile { name: blob.name.clone(), bytes: received.bundle.read(blob)?.into() });
-    blobs.iter().map(read).collect()
-}
-
 /// The database names these blobs now; the others go.
-fn keep(bundles: [Option<Bundle>; 2], kept: &[String]) {
+pub(super) fn keep(bundles: [Option<Bundle>; 2], kept: &[String]) {
     for mut bundle in bundles.into_iter().flatten() {
         kept.iter().for_each(|location| bundle.keep(location));
     }
