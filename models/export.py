@@ -43,7 +43,7 @@ UNTUNED_CALIBRATION = {
 }
 
 SHAPES = {
-    "positions": ("V", 3), "one_ring": ("V", "K1"), "geodesic_ball": ("V", "K2"), "joints": ("J", 3), "pairs": ("P", 2),
+    "positions": ("V", 3), "one_ring": ("V", "K1"), "geodesic_ball": ("V", "K2"), "medial_offsets": ("V", 3), "joints": ("J", 3), "pairs": ("P", 2),
     "pair_features": ("P", 2), "bone_features": ("V", 40), "bone_mask": ("V", 5), "displacement": ("V", 3),
     "attention_logit": ("V",), "bone_logit": ("P",), "root_logit": ("J",), "skin_logit": ("V", 5),
 }

@@ -7,7 +7,7 @@ import numpy as np
 
 GRID = 8
 VERTEX_COUNT, JOINT_COUNT = GRID * GRID, 6
-SEED = {"positions": 0, "joints": 3, "pair_features": 4, "bone_features": 5}
+SEED = {"positions": 0, "joints": 3, "pair_features": 4, "bone_features": 5, "medial_offsets": 6}
 # Steps on the grid, own vertex first. The tables hold the vertex so many columns right and rows up, held to the grid.
 ONE_RING_STEPS = ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1))
 BALL_STEPS = (*ONE_RING_STEPS, (1, -1), (-1, 1), (2, 0), (-2, 0))
@@ -60,6 +60,7 @@ def inputs(names: list[str] | tuple[str, ...]) -> dict[str, np.ndarray]:
     pairs = np.stack(np.triu_indices(JOINT_COUNT, 1), axis=1).astype(np.int64)
     every = {
         "positions": sheet().astype(np.float32),
+        "medial_offsets": (0.1 * points(SEED["medial_offsets"], VERTEX_COUNT)).astype(np.float32),
         "one_ring": table(ONE_RING_STEPS),
         "geodesic_ball": table(BALL_STEPS),
         "joints": points(SEED["joints"], JOINT_COUNT).astype(np.float32),

@@ -22,7 +22,8 @@ use std::path::{Path, PathBuf};
 /// it is. OUT gets, per character: `KEY/one_ring_offsets` [V+1], `KEY/one_ring` and `KEY/geodesic_ball_offsets` [V+1],
 /// `KEY/geodesic_ball` (compressed rows of vertex indices, own vertex excluded, the ball uncapped); `KEY/pairs` [P,2]
 /// (all i < j), `KEY/pair_features` [P,2] (length, inside share); `KEY/bones` [B,2] (start joint, end joint; equal for a
-/// leaf bone), `KEY/bone_distance` [V,B] (volumetric geodesic); `KEY/symmetry` [5] (normal, offset, score).
+/// leaf bone), `KEY/bone_distance` [V,B] (volumetric geodesic); `KEY/medial_offsets` [V,3] (from the vertex to the middle of
+/// its body part); `KEY/symmetry` [5] (normal, offset, score).
 /// A character without joints gets the arrays that need none.
 #[derive(Args)]
 #[command(verbatim_doc_comment)]
@@ -74,6 +75,8 @@ fn features(input: &Arrays, key: &str) -> Result<Arrays, NpzError> {
     let mut output = Arrays::default();
     put_rows(&mut output, &format!("{key}/one_ring"), &shape.one_ring);
     put_rows(&mut output, &format!("{key}/geodesic_ball"), &shape.geodesic_ball);
+    let offsets = shape.medial_offsets().iter().flat_map(|offset| offset.to_array().map(|c| c as f32)).collect();
+    output.insert(format!("{key}/medial_offsets"), &[shape.mesh.positions.len(), 3], Values::F32(offsets));
     let plane = shape.symmetry;
     let symmetry = [plane.normal.x, plane.normal.y, plane.normal.z, plane.offset, plane.score];
     output.insert(format!("{key}/symmetry"), &[5], Values::F64(symmetry.to_vec()));

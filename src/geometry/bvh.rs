@@ -91,12 +91,17 @@ impl Bvh {
 
     /// The nearest place where the ray meets the surface; at equal distances the lowest triangle of the mesh.
     pub fn first_hit(&self, origin: DVec3, direction: DVec3) -> Option<Hit> {
+        self.first_hit_among(origin, direction, |_| true)
+    }
+
+    /// [`Self::first_hit`] with those triangles of the mesh alone that `counts` lets count.
+    pub fn first_hit_among(&self, origin: DVec3, direction: DVec3, counts: impl Fn(u32) -> bool) -> Option<Hit> {
         let mut best: Option<Hit> = None;
         self.along_ray(origin, direction, f64::INFINITY, |triangle, t| {
-            if best.is_none_or(|hit| (t, triangle) < (hit.t, hit.triangle)) {
+            if best.is_none_or(|hit| (t, triangle) < (hit.t, hit.triangle)) && counts(triangle) {
                 best = Some(Hit { triangle, t });
             }
-            best.map_or(t, |hit| hit.t)
+            best.map_or(f64::INFINITY, |hit| hit.t)
         });
         best
     }

@@ -6,6 +6,8 @@
 pub mod bone_pairs;
 pub mod bvh;
 pub mod close_pairs;
+pub mod hollow_distance;
+pub mod medial_offset;
 pub mod neighbor_table;
 pub mod orientation;
 pub mod place_hash;
@@ -13,6 +15,7 @@ pub mod point_tree;
 mod solid_cells;
 pub mod surface_geodesic;
 pub mod surface_samples;
+mod surface_voxels;
 pub mod symmetry_plane;
 pub mod transfer;
 pub mod triangle;

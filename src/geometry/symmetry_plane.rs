@@ -51,6 +51,11 @@ impl SymmetryPlane {
         point - self.normal * (2.0 * self.signed_distance(point))
     }
 
+    /// The mirror image of a direction.
+    pub fn reflect_direction(&self, direction: DVec3) -> DVec3 {
+        direction - self.normal * (2.0 * self.normal.dot(direction))
+    }
+
     /// Distance from the plane, positive on the side that the normal points to (a character's left when it faces +z).
     pub fn signed_distance(&self, point: DVec3) -> f64 {
         self.normal.dot(point) - self.offset

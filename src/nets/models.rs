@@ -103,7 +103,7 @@ fn open_network(
 }
 
 fn check_interface(network: &Network, entry: &NetworkEntry) -> Result<(), NetError> {
-    let got = network.input_names()?;
+    let got = network.input_names();
     let expected: Vec<String> = entry.inputs.iter().map(|input| input.name.clone()).collect();
     if got == expected {
         return Ok(());

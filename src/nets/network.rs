@@ -22,14 +22,22 @@ pub struct Network {
     name: String,
     model: Vec<u8>,
     runtime: Runtime,
+    input_names: Vec<String>,
     idle: Mutex<Vec<Session>>,
 }
 
 impl Network {
     /// Opens the graph in `model` (the bytes of an ONNX file) and its first session.
     pub fn open(runtime: &Runtime, name: &str, model: Vec<u8>) -> Result<Self, NetError> {
-        let network = Self { name: name.to_owned(), model, runtime: runtime.clone(), idle: Mutex::default() };
+        let mut network = Self {
+            name: name.to_owned(),
+            model,
+            runtime: runtime.clone(),
+            input_names: Vec::new(),
+            idle: Mutex::default(),
+        };
         let first = network.new_session()?;
+        network.input_names = first.inputs().iter().map(|input| input.name().to_owned()).collect();
         network.put_back(first);
         Ok(network)
     }
@@ -39,11 +47,8 @@ impl Network {
     }
 
     /// Names of the graph's inputs, in the graph's order.
-    pub fn input_names(&self) -> Result<Vec<String>, NetError> {
-        let session = self.take()?;
-        let names = session.inputs().iter().map(|input| input.name().to_owned()).collect();
-        self.put_back(session);
-        Ok(names)
+    pub fn input_names(&self) -> &[String] {
+        &self.input_names
     }
 
     /// Runs the graph and returns its output `output`, which must be finite.

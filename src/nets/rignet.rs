@@ -22,6 +22,8 @@ use ndarray::{Array2, ArrayD, ArrayView2, Axis, Ix1, Ix2};
 pub struct ShapeGraph {
     /// `[V, 3]`
     pub positions: Array2<f32>,
+    /// `[V, 3]`: from the vertex to the middle of its body part, see [`crate::geometry::medial_offset`].
+    pub medial_offsets: Array2<f32>,
     /// `[V, K]`: the vertex, and all vertices that share an edge with it.
     pub one_ring: Array2<i64>,
     /// `[V, K]`: the vertex, and some of those within the geodesic ball.
@@ -44,14 +46,14 @@ impl RigNets {
 
     /// Vertices moved toward the joints that drive them: positions + displacement, `[V, 3]`.
     pub fn displaced(&self, graph: &ShapeGraph, cancellation: &Cancellation) -> Result<Array2<f32>, NetError> {
-        let displacement = self.displacement.run(&graph.inputs(), "displacement", cancellation)?;
+        let displacement = self.displacement.run(&graph.inputs_of(&self.displacement), "displacement", cancellation)?;
         let displacement = shaped::<Ix2>(&self.displacement, displacement, &[graph.vertex_count(), 3])?;
         Ok(&graph.positions + &displacement)
     }
 
     /// How much each vertex says about joints, `[V]`, 0 to 1.
     pub fn attention(&self, graph: &ShapeGraph, cancellation: &Cancellation) -> Result<Vec<f32>, NetError> {
-        let logits = self.attention.run(&graph.inputs(), "attention_logit", cancellation)?;
+        let logits = self.attention.run(&graph.inputs_of(&self.attention), "attention_logit", cancellation)?;
         let logits = shaped::<Ix1>(&self.attention, logits, &[graph.vertex_count()])?;
         Ok(logits.iter().map(|&logit| sigmoid(logit)).collect())
     }
@@ -114,13 +116,22 @@ impl RigNets {
 }
 
 impl ShapeGraph {
-    /// The same neighbours with the vertices elsewhere, `[V, 3]`.
-    pub fn moved(&self, positions: Array2<f32>) -> Self {
-        Self { positions, one_ring: self.one_ring.clone(), geodesic_ball: self.geodesic_ball.clone() }
+    /// The same neighbours with the vertices and their offsets elsewhere, both `[V, 3]`.
+    pub fn moved(&self, positions: Array2<f32>, medial_offsets: Array2<f32>) -> Self {
+        Self { positions, medial_offsets, one_ring: self.one_ring.clone(), geodesic_ball: self.geodesic_ball.clone() }
     }
 
     pub fn vertex_count(&self) -> usize {
         self.positions.len_of(Axis(0))
+    }
+
+    /// Positions and neighbours, and the medial offsets for a network that reads them: published weights do not.
+    fn inputs_of(&self, network: &Network) -> Vec<(&'static str, Input<'_>)> {
+        let mut inputs = self.inputs();
+        if network.input_names().iter().any(|name| name == "medial_offsets") {
+            inputs.push(("medial_offsets", Input::F32(self.medial_offsets.view().into_dyn())));
+        }
+        inputs
     }
 
     fn inputs(&self) -> Vec<(&'static str, Input<'_>)> {

@@ -25,6 +25,7 @@ const POSITIONS: u64 = 0;
 const JOINTS: u64 = 3;
 const PAIR_FEATURES: u64 = 4;
 const BONE_FEATURES: u64 = 5;
+const MEDIAL_OFFSETS: u64 = 6;
 
 enum Tensor {
     F32(ArrayD<f32>),
@@ -81,11 +82,8 @@ fn known(name: &str) -> Option<Tensor> {
         "positions" => Tensor::F32(sheet()),
         "one_ring" => Tensor::I64(grid_table(&ONE_RING_STEPS)),
         "geodesic_ball" => Tensor::I64(grid_table(&[&ONE_RING_STEPS[..], &MORE_BALL_STEPS[..]].concat())),
-        "joints" => {
-            let hashed = uniform(JOINTS, 3 * JOINT_COUNT);
-            let place = |(i, u): (usize, f64)| if i % 3 == 1 { u } else { u - 0.5 };
-            Tensor::F32(array(&[JOINT_COUNT, 3], hashed.into_iter().enumerate().map(place)))
-        }
+        "joints" => Tensor::F32(points(JOINTS, JOINT_COUNT, 1.0)),
+        "medial_offsets" => Tensor::F32(points(MEDIAL_OFFSETS, VERTEX_COUNT, 0.1)),
         "pairs" => {
             let indices = pairs.iter().flatten().map(|&joint| joint as i64).collect();
             Tensor::I64(ArrayD::from_shape_vec(IxDyn(&[pairs.len(), 2]), indices).ok()?)
@@ -107,6 +105,12 @@ fn uniform(tensor: u64, count: usize) -> Vec<f64> {
         (z >> 11) as f64 / (1u64 << 53) as f64
     };
     (0..count as u64).map(number).collect()
+}
+
+/// `[count, 3]`: x and z in −0.5 to 0.5, y in 0 to 1, times `scale`.
+fn points(tensor: u64, count: usize, scale: f64) -> ArrayD<f32> {
+    let place = |(i, u): (usize, f64)| scale * if i % 3 == 1 { u } else { u - 0.5 };
+    array(&[count, 3], uniform(tensor, 3 * count).into_iter().enumerate().map(place))
 }
 
 fn array(shape: &[usize], values: impl IntoIterator<Item = f64>) -> ArrayD<f32> {

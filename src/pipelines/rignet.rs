@@ -82,7 +82,10 @@ fn find_joints(
         // counts as much as what they say of the character: no side is favoured, and a mirrored upload gets the mirrored rig.
         // The mean of both stands for what lies in the middle: a spine is neither left nor right.
         let images: Vec<DVec3> = vertices.iter().map(|&vertex| plane.reflect(vertex)).collect();
-        let (displaced_images, attention_of_images) = asked(&graph.moved(points_f32(&images)), nets, watch)?;
+        let offsets: Vec<DVec3> =
+            points(graph.medial_offsets.view()).into_iter().map(|v| plane.reflect_direction(v)).collect();
+        let image = graph.moved(points_f32(&images), points_f32(&offsets));
+        let (displaced_images, attention_of_images) = asked(&image, nets, watch)?;
         let images: Vec<DVec3> = displaced_images.into_iter().map(|image| plane.reflect(image)).collect();
         let means: Vec<DVec3> = displaced.iter().zip(&images).map(|(&own, &image)| (own + image) * 0.5).collect();
         let mean_attention: Vec<f64> =

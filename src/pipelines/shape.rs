@@ -2,6 +2,7 @@
 
 use crate::geometry::bone_pairs::BonePair;
 use crate::geometry::bvh::Bvh;
+use crate::geometry::medial_offset::medial_offsets;
 use crate::geometry::neighbor_table::{GEODESIC_CAP, NeighborTable};
 use crate::geometry::surface_geodesic::{BALL_RADIUS, SurfaceGeodesic};
 use crate::geometry::surface_samples::{SAMPLE_COUNT, SurfaceSamples};
@@ -45,9 +46,15 @@ impl Shape {
         let positions = &self.mesh.positions;
         ShapeGraph {
             positions: points_f32(positions),
+            medial_offsets: points_f32(&self.medial_offsets()),
             one_ring: table(NeighborTable::padded(&self.one_ring)),
             geodesic_ball: table(NeighborTable::capped(&self.geodesic_ball, GEODESIC_CAP, positions, seed)),
         }
+    }
+
+    /// From each vertex to the middle of its body part. `[V]`
+    pub fn medial_offsets(&self) -> Vec<DVec3> {
+        medial_offsets(&self.mesh, &self.surface)
     }
 
     /// All pairs of joints, i < j, in lexical order: indices `[P, 2]`, and the segments between them.

@@ -53,7 +53,9 @@ def random_pose(character: Character, rng: np.random.Generator) -> Character:
     weights = character.skin_weights.astype(np.float32)
     blended = (weights @ frame.reshape(-1, 9)).reshape(-1, 3, 3)
     positions = np.einsum("vab,vb->va", blended, character.positions) + weights @ shift
-    return replace(character, positions=positions.astype(np.float32), joints=posed.astype(np.float32))
+    offsets = np.einsum("vab,vb->va", blended, character.medial_offsets)
+    return replace(character, positions=positions.astype(np.float32), medial_offsets=offsets.astype(np.float32),
+                   joints=posed.astype(np.float32))
 
 
 def parents_first(parents: np.ndarray) -> list[int]:
@@ -80,7 +82,9 @@ def random_scale(character: Character, rng: np.random.Generator) -> tuple[Charac
     # x is not re-centred: x = 0 stays the mirror plane.
     origin = np.array([0.0, low[1], 0.5 * (low[2] + high[2])], np.float32)
     scale = 1.0 / (high - low).max()
-    return replace(character, positions=(positions - origin) * scale, joints=(joints - origin) * scale), factors * scale
+    return replace(
+        character, positions=(positions - origin) * scale, joints=(joints - origin) * scale,
+        medial_offsets=character.medial_offsets * factors * scale), factors * scale
 
 
 def thin(character: Character, vertex_count: int, one_ring_max: int, ball_max: int, rng: np.random.Generator):

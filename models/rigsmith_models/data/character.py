@@ -20,6 +20,7 @@ class Character:
     """
 
     positions: np.ndarray  # (V, 3) f32
+    medial_offsets: np.ndarray  # (V, 3) f32, from the vertex to the middle of its body part, zero where unknown
     one_ring: np.ndarray  # (V, K1) i32
     geodesic_ball: np.ndarray  # (V, K2) i32
     joints: np.ndarray  # (J, 3) f32

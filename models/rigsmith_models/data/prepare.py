@@ -85,7 +85,7 @@ def character_of(rig: Rig, features: dict[str, np.ndarray], rng: np.random.Gener
     vertices, joints = rig.vertices.astype(np.float64), rig.joints.astype(np.float64)
     rays = targets.joint_rays(vertices, rig.faces, joints, rig.parents)
     return Character(
-        positions=rig.vertices.astype(np.float32),
+        positions=rig.vertices.astype(np.float32), medial_offsets=features["medial_offsets"],
         one_ring=padded_table(features["one_ring_offsets"], features["one_ring"], ONE_RING_COLUMNS, rng),
         geodesic_ball=padded_table(features["geodesic_ball_offsets"], features["geodesic_ball"], BALL_COLUMNS, rng),
         joints=rig.joints.astype(np.float32), parents=rig.parents.astype(np.int16),

@@ -51,17 +51,18 @@ class Pool:
 def shape_batch(characters: list[Character], rng: np.random.Generator, device, pose: bool = True) -> dict:
     """Augments and thins each character and stacks them.
 
-    -> positions (G*N, 3), one_ring (G*N, K1), geodesic_ball (G*N, K2) with indices into the stack, graph_count G, and
+    -> positions (G*N, 3), medial_offsets (G*N, 3), one_ring (G*N, K1), geodesic_ball (G*N, K2) with indices into the stack, graph_count G, and
     lists per character: ``kept`` vertices, ``joints`` (J, 3) after augmentation, ``scale`` (3,).
     """
     vertex_count = int(rng.choice(VERTEX_COUNTS, p=VERTEX_COUNT_SHARES))
-    positions, rings, balls, kept_lists, joints, scales = [], [], [], [], [], []
+    positions, offsets, rings, balls, kept_lists, joints, scales = [], [], [], [], [], [], []
     for graph, character in enumerate(characters):
         if pose and rng.random() < augment.POSE_PROBABILITY:
             character = augment.random_pose(character, rng)
         character, scale = augment.random_scale(character, rng)
         kept, ring, ball = augment.thin(character, vertex_count, ONE_RING_MAX, BALL_MAX, rng)
         positions.append(character.positions[kept])
+        offsets.append(character.medial_offsets[kept])
         rings.append(ring + graph * vertex_count)
         balls.append(ball + graph * vertex_count)
         kept_lists.append(kept)
@@ -69,6 +70,7 @@ def shape_batch(characters: list[Character], rng: np.random.Generator, device, p
         scales.append(scale)
     return {
         "positions": torch.from_numpy(np.concatenate(positions).astype(np.float32)).to(device),
+        "medial_offsets": torch.from_numpy(np.concatenate(offsets).astype(np.float32)).to(device),
         "one_ring": torch.from_numpy(np.concatenate(rings)).to(device),
         "geodesic_ball": torch.from_numpy(np.concatenate(balls)).to(device),
         "graph_count": len(characters),

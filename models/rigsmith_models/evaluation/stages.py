@@ -44,7 +44,7 @@ def displaced(characters, displacement: Network, attention: Network) -> list[tup
     """-> per character displacement (V, 3) and attention (V,) in (0, 1)."""
     results = []
     for character in characters:
-        shape = shape_inputs(character)
+        shape = shape_inputs(character) | {"medial_offsets": character.medial_offsets}
         results.append((displacement(**shape), sigmoid(attention(**shape)).astype(np.float32)))
     return results
 

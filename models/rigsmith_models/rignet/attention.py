@@ -7,14 +7,14 @@ from .joint_backbone import JointBackbone
 
 
 class RigNetAttention(nn.Module):
-    """positions (V, 3), one_ring (V, K1), geodesic_ball (V, K2) -> attention_logit (V,); the sigmoid is outside."""
+    """positions, one_ring, geodesic_ball, medial_offsets as for the displacement -> attention_logit (V,); the sigmoid is outside."""
 
-    inputs = ("positions", "one_ring", "geodesic_ball")
+    inputs = ("positions", "one_ring", "geodesic_ball", "medial_offsets")
     output = "attention_logit"
 
     def __init__(self, width: float = 1.0, normalisation: str = "batch", dropout: float = 0.0):
         super().__init__()
         self.body = JointBackbone(1, width, normalisation, dropout)
 
-    def forward(self, positions, one_ring, geodesic_ball, graph_count: int = 1) -> torch.Tensor:
-        return self.body(positions, one_ring, geodesic_ball, graph_count).squeeze(1)
+    def forward(self, positions, one_ring, geodesic_ball, medial_offsets, graph_count: int = 1) -> torch.Tensor:
+        return self.body(positions, one_ring, geodesic_ball, medial_offsets, graph_count).squeeze(1)

@@ -21,9 +21,9 @@ class JointStage(nn.Module):
         self.attention = RigNetAttention(width, normalisation)
         self.bandwidth = nn.Parameter(torch.tensor(BANDWIDTH_START))
 
-    def forward(self, positions, one_ring, geodesic_ball, graph_count: int = 1):
+    def forward(self, positions, one_ring, geodesic_ball, medial_offsets, graph_count: int = 1):
         """-> displacement (G*V, 3), attention_logit (G*V,)."""
-        shape = (positions, one_ring, geodesic_ball, graph_count)
+        shape = (positions, one_ring, geodesic_ball, medial_offsets, graph_count)
         return self.displacement(*shape), self.attention(*shape)
 
 

@@ -39,7 +39,7 @@ class DisplacementObjective:
         return batch
 
     def loss(self, network, batch) -> torch.Tensor:
-        displacement = network(*shape_of(batch))
+        displacement = network(*body_of(batch))
         points = (batch["positions"] + displacement.float()).reshape(batch["graph_count"], -1, 3)
         return chamfer(points, batch["joints"], batch["valid"]).mean()
 
@@ -57,7 +57,7 @@ class AttentionObjective:
         mask = batch["mask"]
         share = mask.mean().clamp(0.02, 0.98)
         weight = torch.where(mask > 0.5, 0.5 / share, 0.5 / (1 - share))
-        return F.binary_cross_entropy_with_logits(network(*shape_of(batch)).float(), mask, weight=weight)
+        return F.binary_cross_entropy_with_logits(network(*body_of(batch)).float(), mask, weight=weight)
 
 
 class JointStageObjective:
@@ -69,7 +69,7 @@ class JointStageObjective:
         return batch
 
     def loss(self, network, batch) -> torch.Tensor:
-        displacement, logit = network(*shape_of(batch))
+        displacement, logit = network(*body_of(batch))
         graphs, logit = batch["graph_count"], logit.float()
         mask_loss = F.binary_cross_entropy_with_logits(logit, batch["mask"])
         with torch.autocast(logit.device.type, enabled=False):
@@ -216,6 +216,11 @@ class SkinObjective:
 
 def shape_of(batch: dict) -> tuple:
     return batch["positions"], batch["one_ring"], batch["geodesic_ball"], batch["graph_count"]
+
+
+def body_of(batch: dict) -> tuple:
+    """Inputs of the joint networks."""
+    return *shape_of(batch)[:3], batch["medial_offsets"], batch["graph_count"]
 
 
 OBJECTIVES = {
