@@ -21,7 +21,7 @@ from onnx import TensorProto, helper, numpy_helper
 
 from rigsmith_models import known_answer
 from rigsmith_models.folding import folded
-from rigsmith_models.rignet import NETWORKS
+from rigsmith_models.networks import NETWORKS
 from rigsmith_models.train.joint_stage import JointStage
 from rigsmith_models.train.trainer import Settings, averaged_network
 
@@ -45,9 +45,12 @@ UNTUNED_CALIBRATION = {
 SHAPES = {
     "positions": ("V", 3), "one_ring": ("V", "K1"), "geodesic_ball": ("V", "K2"), "medial_offsets": ("V", 3), "joints": ("J", 3), "pairs": ("P", 2),
     "pair_features": ("P", 2), "bone_features": ("V", 40), "bone_mask": ("V", 5), "displacement": ("V", 3),
+    "joint_features": ("J", 8), "joint_neighbours": ("J", "K3"), "links": ("V", 8), "link_mask": ("V", 8),
+    "link_features": ("V", 8, 13), "joint_links": ("J", 32), "joint_mask": ("J",), "link_logit": ("V", 8),
     "attention_logit": ("V",), "bone_logit": ("P",), "root_logit": ("J",), "skin_logit": ("V", 5),
 }
-INTEGER_INPUTS = {"one_ring", "geodesic_ball", "pairs"}
+INDICES = {"one_ring": "V", "geodesic_ball": "V", "pairs": "J", "joint_neighbours": "J", "links": "J", "joint_links": "L"}  # of what
+LINKS_PER_VERTEX = 8
 
 
 def random_inputs(names, seed: int, sizes: dict[str, int]) -> dict[str, np.ndarray]:
@@ -61,12 +64,12 @@ def random_inputs(names, seed: int, sizes: dict[str, int]) -> dict[str, np.ndarr
         shape = [sizes.get(d, d) for d in SHAPES[name]]
         if name == "positions":
             feed[name] = positions.astype(np.float32)
-        elif name == "pairs":
-            feed[name] = rng.integers(0, sizes["J"], shape)
-        elif name in INTEGER_INPUTS:
+        elif INDICES.get(name) == "V":
             feed[name] = np.ascontiguousarray(nearest[:, : shape[1]])
-        elif name == "bone_mask":
-            feed[name] = (np.arange(shape[1]) < rng.integers(1, 6, (shape[0], 1))).astype(np.float32)
+        elif name in INDICES:
+            feed[name] = rng.integers(0, {**sizes, "L": sizes["V"] * LINKS_PER_VERTEX}[INDICES[name]], shape)
+        elif name in ("bone_mask", "link_mask"):
+            feed[name] = (np.arange(shape[1]) < rng.integers(1, shape[1] + 1, (shape[0], 1))).astype(np.float32)
         else:
             feed[name] = rng.random(shape, np.float32)
     return feed
@@ -86,7 +89,7 @@ class OneCharacter(torch.nn.Module):
 def to_onnx(network: torch.nn.Module, path: Path) -> None:
     """Writes the float32 graph with every size dynamic."""
     names, output = list(network.inputs), network.output
-    example = random_inputs(names, 0, {"V": 48, "K1": 5, "K2": 9, "J": 7, "P": 12})
+    example = random_inputs(names, 0, {"V": 48, "K1": 5, "K2": 9, "K3": 4, "J": 7, "P": 12})
     symbols = {n: {axis: d for axis, d in enumerate(SHAPES[n]) if isinstance(d, str)} for n in [*names, output]}
     torch.onnx.export(
         OneCharacter(folded(network)), tuple(torch.from_numpy(example[n]) for n in names), str(path), input_names=names,
@@ -121,7 +124,7 @@ def parity(network, path: Path) -> float:
     """Largest difference between the graph and PyTorch over sizes that the export did not see."""
     run = session(path)
     worst = 0.0
-    for seed, sizes in enumerate(({"V": 200, "K1": 9, "K2": 11, "J": 20, "P": 190}, {"V": 33, "K1": 3, "K2": 4, "J": 2, "P": 1})):
+    for seed, sizes in enumerate(({"V": 200, "K1": 9, "K2": 11, "K3": 5, "J": 20, "P": 190}, {"V": 33, "K1": 3, "K2": 4, "K3": 1, "J": 2, "P": 1})):
         feed = random_inputs(network.inputs, seed + 1, sizes)
         with torch.no_grad():
             expected = network(*(torch.from_numpy(feed[n]) for n in network.inputs)).numpy()
@@ -139,7 +142,7 @@ def self_test(path: Path, names, output: str) -> dict:
 
 
 def described(names) -> list[dict]:
-    return [{"name": n, "dtype": "int64" if n in INTEGER_INPUTS else "float32", "shape": list(SHAPES[n])} for n in names]
+    return [{"name": n, "dtype": "int64" if n in INDICES else "float32", "shape": list(SHAPES[n])} for n in names]
 
 
 def training_record(name: str, run: Path, record: dict) -> dict:

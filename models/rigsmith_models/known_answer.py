@@ -7,7 +7,8 @@ import numpy as np
 
 GRID = 8
 VERTEX_COUNT, JOINT_COUNT = GRID * GRID, 6
-SEED = {"positions": 0, "joints": 3, "pair_features": 4, "bone_features": 5, "medial_offsets": 6}
+LINKS, LINK_CHANNELS, JOINT_CHANNELS, SIGHT = 8, 13, 8, 32
+SEED = {"positions": 0, "joints": 3, "pair_features": 4, "bone_features": 5, "medial_offsets": 6, "joint_features": 7, "link_features": 8}
 # Steps on the grid, own vertex first. The tables hold the vertex so many columns right and rows up, held to the grid.
 ONE_RING_STEPS = ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1))
 BALL_STEPS = (*ONE_RING_STEPS, (1, -1), (-1, 1), (2, 0), (-2, 0))
@@ -57,6 +58,7 @@ def bone_features() -> np.ndarray:
 
 def inputs(names: list[str] | tuple[str, ...]) -> dict[str, np.ndarray]:
     """The named inputs, computed in float64 and rounded once to float32."""
+    joint = np.arange(JOINT_COUNT)
     pairs = np.stack(np.triu_indices(JOINT_COUNT, 1), axis=1).astype(np.int64)
     every = {
         "positions": sheet().astype(np.float32),
@@ -67,6 +69,14 @@ def inputs(names: list[str] | tuple[str, ...]) -> dict[str, np.ndarray]:
         "pairs": pairs,
         "pair_features": uniform(SEED["pair_features"], 2 * len(pairs)).reshape(-1, 2).astype(np.float32),
         "bone_features": bone_features().astype(np.float32),
+        "joint_features": (uniform(SEED["joint_features"], JOINT_COUNT * JOINT_CHANNELS) - 0.5).reshape(JOINT_COUNT, -1).astype(np.float32),
+        "joint_neighbours": np.stack([joint, np.maximum(joint - 1, 0), np.minimum(joint + 1, JOINT_COUNT - 1)], axis=1),
+        "links": (np.arange(VERTEX_COUNT)[:, None] + np.arange(LINKS)) % JOINT_COUNT,
+        "link_mask": np.ones((VERTEX_COUNT, LINKS), np.float32),
+        "link_features": uniform(SEED["link_features"], VERTEX_COUNT * LINKS * LINK_CHANNELS)
+        .reshape(VERTEX_COUNT, LINKS, LINK_CHANNELS).astype(np.float32),
+        "joint_links": np.arange(JOINT_COUNT * SIGHT).reshape(JOINT_COUNT, SIGHT) % (VERTEX_COUNT * LINKS),
+        "joint_mask": np.ones(JOINT_COUNT, np.float32),
         "bone_mask": np.ones((VERTEX_COUNT, 5), np.float32),
     }
     return {name: every[name] for name in names}

@@ -6,10 +6,13 @@ use super::files::write_whole;
 use clap::Args;
 use glam::DVec3;
 use rayon::prelude::*;
+use rigsmith::cancellation::Cancellation;
 use rigsmith::formats::npz::{Array, Arrays, NpzError, Values};
 use rigsmith::mesh::Mesh;
 use rigsmith::mesh::adjacency::Neighbors;
+use rigsmith::pipelines::heter_skin::WeighedBones;
 use rigsmith::pipelines::shape::Shape;
+use rigsmith::rig::heter_graph::{HeterGraph, JOINT_CHANNELS, LINK_CHANNELS, LINKS, SIGHT};
 use rigsmith::rig::skeleton::Bone;
 use rigsmith::rig::{Joint, Skeleton};
 use std::collections::BTreeSet;
@@ -23,7 +26,8 @@ use std::path::{Path, PathBuf};
 /// `KEY/geodesic_ball` (compressed rows of vertex indices, own vertex excluded, the ball uncapped); `KEY/pairs` [P,2]
 /// (all i < j), `KEY/pair_features` [P,2] (length, inside share); `KEY/bones` [B,2] (start joint, end joint; equal for a
 /// leaf bone), `KEY/bone_distance` [V,B] (volumetric geodesic); `KEY/medial_offsets` [V,3] (from the vertex to the middle of
-/// its body part); `KEY/symmetry` [5] (normal, offset, score).
+/// its body part); `KEY/links`, `KEY/link_mask` [V,8], `KEY/link_features` [V,8,13], `KEY/joint_features` [J,8], `KEY/joint_links`
+/// [J,32], `KEY/joint_mask` [J] (the heterogeneous graph of HeterSkinNet); `KEY/symmetry` [5] (normal, offset, score).
 /// A character without joints gets the arrays that need none.
 #[derive(Args)]
 #[command(verbatim_doc_comment)]
@@ -83,6 +87,9 @@ fn features(input: &Arrays, key: &str) -> Result<Arrays, NpzError> {
     if input.0.contains_key(&format!("{key}/joints")) {
         let skeleton = skeleton(points(array("joints")?), &array("parents")?.to_f64());
         put_skeleton(&mut output, key, &shape, &skeleton);
+        let weighed = WeighedBones::new(&shape, &skeleton, &Cancellation::default())
+            .map_err(|error| NpzError::Array { name: format!("{key}/joints"), cause: error.to_string() })?;
+        put_heter_graph(&mut output, key, &weighed.heter_graph(&shape, &skeleton));
     }
     Ok(output)
 }
@@ -101,6 +108,22 @@ fn put_skeleton(output: &mut Arrays, key: &str, shape: &Shape, skeleton: &Skelet
     let distances = shape.bone_distances(&segments);
     let size = [shape.mesh.positions.len(), bones.len()];
     output.insert(format!("{key}/bone_distance"), &size, Values::F32(distances));
+}
+
+/// The heterogeneous graph of HeterSkinNet.
+fn put_heter_graph(output: &mut Arrays, key: &str, graph: &HeterGraph) {
+    let vertex_count = graph.links.len() / LINKS;
+    let joint_count = graph.joint_mask.len();
+    let links = graph.links.iter().map(|&joint| joint as i32).collect();
+    output.insert(format!("{key}/links"), &[vertex_count, LINKS], Values::I32(links));
+    output.insert(format!("{key}/link_mask"), &[vertex_count, LINKS], Values::F32(graph.link_mask.clone()));
+    let features = Values::F32(graph.link_features.clone());
+    output.insert(format!("{key}/link_features"), &[vertex_count, LINKS, LINK_CHANNELS], features);
+    let features = Values::F32(graph.joint_features.clone());
+    output.insert(format!("{key}/joint_features"), &[joint_count, JOINT_CHANNELS], features);
+    let seen = graph.joint_links.iter().map(|&link| link as i32).collect();
+    output.insert(format!("{key}/joint_links"), &[joint_count, SIGHT], Values::I32(seen));
+    output.insert(format!("{key}/joint_mask"), &[joint_count], Values::F32(graph.joint_mask.clone()));
 }
 
 fn put_rows(output: &mut Arrays, name: &str, rows: &Neighbors) {

@@ -8,6 +8,7 @@ use super::error::NetError;
 use super::manifest::NetworkEntry;
 use super::network::{Input, Network};
 use crate::cancellation::Cancellation;
+use crate::rig::heter_graph::{JOINT_CHANNELS, LINK_CHANNELS, LINKS, SIGHT};
 use ndarray::{ArrayD, IxDyn};
 
 const GRID: i64 = 8;
@@ -26,6 +27,8 @@ const JOINTS: u64 = 3;
 const PAIR_FEATURES: u64 = 4;
 const BONE_FEATURES: u64 = 5;
 const MEDIAL_OFFSETS: u64 = 6;
+const JOINT_FEATURES: u64 = 7;
+const LINK_FEATURES: u64 = 8;
 
 enum Tensor {
     F32(ArrayD<f32>),
@@ -90,9 +93,30 @@ fn known(name: &str) -> Option<Tensor> {
         }
         "pair_features" => Tensor::F32(array(&[pairs.len(), 2], uniform(PAIR_FEATURES, 2 * pairs.len()))),
         "bone_features" => Tensor::F32(bone_features()),
+        "joint_features" => {
+            let hashed = uniform(JOINT_FEATURES, JOINT_COUNT * JOINT_CHANNELS);
+            Tensor::F32(array(&[JOINT_COUNT, JOINT_CHANNELS], hashed.into_iter().map(|u| u - 0.5)))
+        }
+        "joint_neighbours" => indices(&[JOINT_COUNT, 3], |at| match at[1] {
+            0 => at[0],
+            1 => at[0].saturating_sub(1),
+            _ => (at[0] + 1).min(JOINT_COUNT - 1),
+        }),
+        "links" => indices(&[VERTEX_COUNT, LINKS], |at| (at[0] + at[1]) % JOINT_COUNT),
+        "link_mask" => Tensor::F32(ArrayD::ones(IxDyn(&[VERTEX_COUNT, LINKS]))),
+        "link_features" => {
+            let hashed = uniform(LINK_FEATURES, VERTEX_COUNT * LINKS * LINK_CHANNELS);
+            Tensor::F32(array(&[VERTEX_COUNT, LINKS, LINK_CHANNELS], hashed))
+        }
+        "joint_links" => indices(&[JOINT_COUNT, SIGHT], |at| (at[0] * SIGHT + at[1]) % (VERTEX_COUNT * LINKS)),
+        "joint_mask" => Tensor::F32(ArrayD::ones(IxDyn(&[JOINT_COUNT]))),
         "bone_mask" => Tensor::F32(ArrayD::ones(IxDyn(&[VERTEX_COUNT, BONE_SLOTS]))),
         _ => return None,
     })
+}
+
+fn indices(shape: &[usize], index: impl Fn(ndarray::IxDyn) -> usize) -> Tensor {
+    Tensor::I64(ArrayD::from_shape_fn(IxDyn(shape), |at| index(at) as i64))
 }
 
 /// SplitMix64 of (tensor, element), as numbers in [0, 1).

@@ -1,5 +1,6 @@
 //! The published methods, one file each, composed from mesh, geometry, nets and rig.
 
+pub mod heter_skin;
 mod prepared;
 pub mod rignet;
 pub mod shape;

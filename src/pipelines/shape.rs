@@ -12,6 +12,8 @@ use crate::geometry::voxel_grid::VoxelGrid;
 use crate::mesh::Mesh;
 use crate::mesh::adjacency::{Neighbors, one_ring};
 use crate::nets::rignet::ShapeGraph;
+use crate::rig::Skeleton;
+use crate::rig::skeleton::Bone;
 use glam::DVec3;
 use ndarray::Array2;
 
@@ -63,6 +65,15 @@ impl Shape {
             (0..joints.len()).flat_map(|i| (i + 1..joints.len()).map(move |j| [i, j])).collect();
         let segments = pairs.iter().map(|&[i, j]| BonePair::new(joints[i], joints[j], &self.solid)).collect();
         (pairs, segments)
+    }
+
+    /// Where a bone ends. A leaf bone goes on along the bone before it until it leaves the solid: what lies beyond a hand's or a
+    /// head's joint follows that joint, although the bone that ends there is as near.
+    pub(super) fn reach_of(&self, bone: &Bone, skeleton: &Skeleton) -> DVec3 {
+        let parent = skeleton.joints[bone.start_joint].parent.filter(|_| bone.is_leaf());
+        let Some(parent) = parent else { return bone.end };
+        let along = (bone.start - skeleton.joints[parent].position).normalize_or_zero();
+        self.solid.last_inside(bone.start, along)
     }
 
     /// Volumetric geodesic distances `[V, B]`, row-major.

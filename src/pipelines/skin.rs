@@ -9,18 +9,18 @@
 //! Out: the same skeleton, and for every vertex of the upload one row of weights. Bones outside the body and parts without
 //! a bone are weighed too, see [`crate::geometry::voxel_binding`] and [`crate::geometry::volumetric_geodesic`].
 
+use super::heter_skin::WeighedBones;
 use super::prepared::{Prepared, SYMMETRIC_FROM};
 use super::shape::Shape;
 use super::{Facts, RigError, RigOptions, Rigged, SkinMethod, Stage, Subject, Symmetry, Watch};
 use crate::geometry::symmetry_plane::SymmetryPlane;
 use crate::geometry::transfer::transfer_map;
 use crate::geometry::volumetric_geodesic::Segment;
-use crate::geometry::voxel_binding::VoxelBinding;
 use crate::nets::rignet::{RigNets, ShapeGraph};
 use crate::rig::bone_features::{BONE_CHANNELS, NEAREST_BONES, bone_features};
 use crate::rig::bone_weights::{BoneWeights, PRUNE_SHARE, SMOOTHINGS, TRACE_SHARE};
 use crate::rig::distance_falloff::{FALLOFF, VOXEL_SMOOTHINGS, VOXEL_TRACE_SHARE, falloff_weights};
-use crate::rig::heat_weights::{HEAT, HEAT_TRACE_SHARE, heat_weights};
+use crate::rig::heat_weights::HEAT_TRACE_SHARE;
 use crate::rig::skeleton::Bone;
 use crate::rig::verdict::{self, Quality};
 use crate::rig::{Rig, Skeleton, SkinWeights};
@@ -121,7 +121,7 @@ pub(super) fn weigh(
     let segments: Vec<Segment> = bones.iter().map(|bone| (bone.start, bone.end)).collect();
     let (weights, nearest) = match weigher {
         Weigher::RigNet { nets, graph } => by_network(shape, graph, nets, &bones, &segments, watch)?,
-        Weigher::Voxels(method) => by_voxels(shape, skeleton, &bones, method, watch)?,
+        Weigher::Voxels(method) => by_voxels(shape, skeleton, method, watch)?,
     };
     Ok(SkinWeights::from_bones(&weights, &bones, &nearest, max_influences))
 }
@@ -155,32 +155,18 @@ fn by_network(
 fn by_voxels(
     shape: &Shape,
     skeleton: &Skeleton,
-    bones: &[Bone],
     method: SkinMethod,
     watch: Watch,
 ) -> Result<(BoneWeights, Vec<u32>), RigError> {
-    let segments: Vec<Segment> = bones.iter().map(|bone| (bone.start, reach_of(bone, skeleton, shape))).collect();
-    let binding = VoxelBinding::new(&shape.mesh, &shape.solid, &segments);
-    watch.cancellation.check()?;
-    let distances = binding.distances(&shape.mesh.positions);
-    watch.cancellation.check()?;
+    let weighed = WeighedBones::new(shape, skeleton, watch.cancellation)?;
     let weights = match method {
-        SkinMethod::GeodesicHeat => heat_weights(&shape.mesh, &distances, bones, HEAT).pruned(HEAT_TRACE_SHARE),
+        SkinMethod::GeodesicHeat => weighed.heat(shape).pruned(HEAT_TRACE_SHARE),
         _ => {
-            let weights = falloff_weights(&distances, bones, &FALLOFF);
+            let weights = falloff_weights(&weighed.voxel_distance, &weighed.bones, &FALLOFF);
             smoothed(weights, shape, VOXEL_SMOOTHINGS).pruned(VOXEL_TRACE_SHARE)
         }
     };
-    Ok((weights, bone_features(&distances, bones).nearest))
-}
-
-/// Where a bone ends. A leaf bone goes on along the bone before it until it leaves the solid: what lies beyond a hand's or a
-/// head's joint follows that joint, although the bone that ends there is as near.
-fn reach_of(bone: &Bone, skeleton: &Skeleton, shape: &Shape) -> DVec3 {
-    let parent = skeleton.joints[bone.start_joint].parent.filter(|_| bone.is_leaf());
-    let Some(parent) = parent else { return bone.end };
-    let along = (bone.start - skeleton.joints[parent].position).normalize_or_zero();
-    shape.solid.last_inside(bone.start, along)
+    Ok((weights, bone_features(&weighed.voxel_distance, &weighed.bones).nearest))
 }
 
 fn smoothed(mut weights: BoneWeights, shape: &Shape, times: usize) -> BoneWeights {

@@ -4,7 +4,7 @@
 //! |---------------------------------------|-------------------------------------------------------------------|
 //! | displaced points → joints             | [`detect_joints`], made of [`joint_clustering`], [`non_maximum_suppression`], [`symmetrize`] |
 //! | joints → tree → skeleton, bones       | [`spanning_tree`], [`skeleton`]                                   |
-//! | bone distances → what the network reads | [`bone_features`]                                               |
+//! | bone distances → what the networks read | [`bone_features`], [`heter_graph`]                             |
 //! | logits or distances → weights         | [`bone_weights`], [`distance_falloff`], [`heat_weights`], [`skin_weights`] |
 //! | rig → posed mesh, figures             | [`bind_pose`], [`forward_kinematics`], [`linear_blend_skinning`], [`quality`] |
 
@@ -16,6 +16,7 @@ pub mod detect_joints;
 pub mod distance_falloff;
 pub mod forward_kinematics;
 pub mod heat_weights;
+pub mod heter_graph;
 pub mod joint_clustering;
 mod joint_levels;
 pub mod linear_blend_skinning;

@@ -9,6 +9,7 @@ from .character import Character
 POSE_PROBABILITY = 0.5
 POSED_JOINT_SHARE = 0.3
 POSE_DEGREES = 20.0
+JOINTS_DROPPED = 0.2
 MIRROR = np.array([-1.0, 1.0, 1.0], np.float32)
 
 
@@ -58,6 +59,22 @@ def random_pose(character: Character, rng: np.random.Generator) -> Character:
                    joints=posed.astype(np.float32))
 
 
+def fewer_joints(joints, parents, weights, rng: np.random.Generator):
+    """Drops up to a fifth of the joints (never the root); children and weights go to the parent.
+
+    joints: (J, 3), parents: (J,) with parents[i] < i, weights: (V, J) -> the same of fewer joints.
+    """
+    parents, weights = parents.astype(int).copy(), weights.copy()
+    kept = np.ones(len(joints), bool)
+    for victim in rng.permutation(np.arange(1, len(joints)))[: int(rng.uniform(0, JOINTS_DROPPED) * len(joints))]:
+        weights[:, parents[victim]] += weights[:, victim]
+        parents[parents == victim] = parents[victim]
+        kept[victim] = False
+    renumber = np.cumsum(kept) - 1
+    own = parents[kept]
+    return joints[kept], np.where(own < 0, -1, renumber[own]).astype(np.int16), weights[:, kept]
+
+
 def parents_first(parents: np.ndarray) -> list[int]:
     """Joint indices ordered so that every parent comes before its children."""
     children: dict[int, list[int]] = {}
@@ -85,6 +102,14 @@ def random_scale(character: Character, rng: np.random.Generator) -> tuple[Charac
     return replace(
         character, positions=(positions - origin) * scale, joints=(joints - origin) * scale,
         medial_offsets=character.medial_offsets * factors * scale), factors * scale
+
+
+def random_mirror(character: Character, rng: np.random.Generator) -> tuple[Character, np.ndarray]:
+    """Mirror half the time; returns the factors too. Distances stay what they are."""
+    factors = MIRROR if rng.random() < 0.5 else np.ones(3, np.float32)
+    return replace(
+        character, positions=character.positions * factors, joints=character.joints * factors,
+        medial_offsets=character.medial_offsets * factors), factors
 
 
 def thin(character: Character, vertex_count: int, one_ring_max: int, ball_max: int, rng: np.random.Generator):

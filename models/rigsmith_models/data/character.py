@@ -17,6 +17,7 @@ class Character:
 
     The tables ``one_ring`` and ``geodesic_ball`` list neighbours only; a short row is padded with the own index.
     ``bone_ends`` are (parent, child) joint indices in the order of the features; a leaf joint has a bone (j, j).
+    Links, their features and the joints' are those of ``rig::heter_graph`` in the service.
     """
 
     positions: np.ndarray  # (V, 3) f32
@@ -31,6 +32,10 @@ class Character:
     inside_share: np.ndarray = field(default_factory=lambda: np.zeros(0, np.float32))  # (P,) of the pairs i < j
     bone_ends: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), np.int16))  # (B, 2)
     bone_distance: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), np.float32))  # (V, B)
+    links: np.ndarray = field(default_factory=lambda: np.zeros((0, 8), np.uint8))  # (V, 8) joint of each link
+    link_mask: np.ndarray = field(default_factory=lambda: np.zeros((0, 8), bool))  # (V, 8)
+    link_features: np.ndarray = field(default_factory=lambda: np.zeros((0, 8, 13), np.float16))  # (V, 8, 13)
+    joint_features: np.ndarray = field(default_factory=lambda: np.zeros((0, 8), np.float32))  # (J, 8)
     meta: dict = field(default_factory=dict)  # name, source, family, category, style, license, draw_weight
 
 
@@ -48,7 +53,5 @@ def write_cache(path: Path, characters: list[Character]) -> None:
 def read_cache(path: Path) -> list[Character]:
     with np.load(path) as archive:
         metas = json.loads(bytes(archive["meta_json"]))
-        return [
-            Character(**{name: archive[f"{k:04d}/{name}"] for name in ARRAYS}, meta=meta)
-            for k, meta in enumerate(metas)
-        ]
+        names = [name for name in ARRAYS if f"0000/{name}" in archive.files]  # fields with a default may be absent
+        return [Character(**{name: archive[f"{k:04d}/{name}"] for name in names}, meta=meta) for k, meta in enumerate(metas)]

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
-from . import targets
+from . import augment, targets
 from .character import Character, write_cache
 from .shards import Rig, RigShard
 
@@ -29,6 +29,7 @@ CHARACTERS_PER_CALL = 40
 STYLE_WEIGHT = {"box": 0.2, "parametric": 0.5}  # of the draw, 1 for every other style
 FAMILY_WEIGHT_MAX = 10.0  # all members of one family (one body, many clothes) together draw at most so much
 WEIGHTLESS_AREA = 1e-14
+VARIANT_POSED, VARIANT_JITTER = 0.7, 0.006  # share of posed variants; of a joint's place, about half of what prediction errs
 
 
 def decimated(rig: Rig, rng: np.random.Generator) -> Rig:
@@ -92,8 +93,29 @@ def character_of(rig: Rig, features: dict[str, np.ndarray], rng: np.random.Gener
         skin_weights=rig.weights.astype(np.float16),
         attention_mask=targets.attention_mask(vertices, rays, joints), tolerance=targets.tolerance(vertices, rays, joints),
         inside_share=features["pair_features"][:, 1].astype(np.float32), bone_ends=features["bones"].astype(np.int16),
-        bone_distance=features["bone_distance"].astype(np.float16), meta={**rig.meta, "features": "rigsmith features"},
+        bone_distance=features["bone_distance"].astype(np.float16), links=features["links"].astype(np.uint8),
+        link_mask=features["link_mask"] > 0.5, link_features=features["link_features"].astype(np.float16),
+        joint_features=features["joint_features"], meta={**rig.meta, "features": "rigsmith features"},
     )
+
+
+def variant(rig: Rig, rng: np.random.Generator) -> Rig:
+    """The rig in another pose and other proportions, with a skeleton that looks predicted: joints off their places, some missing.
+
+    Features of such a rig are computed anew by the service's code, so distances and heat are true; ``augment`` alone could
+    only guess them.
+    """
+    character = Character(
+        positions=rig.vertices.astype(np.float32), medial_offsets=np.zeros_like(rig.vertices, np.float32), one_ring=np.zeros((0, 0)),
+        geodesic_ball=np.zeros((0, 0)), joints=rig.joints, parents=rig.parents, skin_weights=rig.weights,
+        attention_mask=np.zeros(0), tolerance=np.zeros(0))
+    if rng.random() < VARIANT_POSED:
+        character = augment.random_pose(character, rng)
+    character, _ = augment.random_scale(character, rng)
+    joints, parents, weights = augment.fewer_joints(character.joints, rig.parents, rig.weights, rng)
+    joints = joints + rng.normal(0, VARIANT_JITTER, joints.shape)
+    faces = without_flat_faces(rig.faces, character.positions)
+    return Rig(character.positions, faces, joints.astype(np.float32), parents, weights, rig.meta)
 
 
 def shard_rigs(path: Path, count: int | None) -> list[Rig]:
@@ -135,6 +157,7 @@ def main() -> None:
     synthetic.add_argument("--count", type=int, required=True)
     for part in (shard, synthetic):
         part.add_argument("-o", "--output", type=Path, required=True)
+        part.add_argument("--variants", type=int, default=0, help="so many altered rigs in place of each rig as it is")
         part.add_argument("--rigsmith", type=Path, required=True, help="release binary of the service")
     arguments = parser.parse_args()
 
@@ -142,6 +165,8 @@ def main() -> None:
         rigs = shard_rigs(arguments.shard, arguments.count)
     else:
         rigs = synthetic_rigs(arguments.first_seed, arguments.count)
+    if arguments.variants:
+        rigs = [variant(rig, np.random.default_rng([17, k, v])) for k, rig in enumerate(rigs) for v in range(arguments.variants)]
     characters = []
     for first in range(0, len(rigs), CHARACTERS_PER_CALL):
         some = rigs[first : first + CHARACTERS_PER_CALL]

@@ -48,7 +48,7 @@ class Pool:
         return [self.characters[k] for k in chosen]
 
 
-def shape_batch(characters: list[Character], rng: np.random.Generator, device, pose: bool = True) -> dict:
+def shape_batch(characters: list[Character], rng: np.random.Generator, device, pose: bool = True, scale: bool = True) -> dict:
     """Augments and thins each character and stacks them.
 
     -> positions (G*N, 3), medial_offsets (G*N, 3), one_ring (G*N, K1), geodesic_ball (G*N, K2) with indices into the stack, graph_count G, and
@@ -59,7 +59,7 @@ def shape_batch(characters: list[Character], rng: np.random.Generator, device, p
     for graph, character in enumerate(characters):
         if pose and rng.random() < augment.POSE_PROBABILITY:
             character = augment.random_pose(character, rng)
-        character, scale = augment.random_scale(character, rng)
+        character, factors = augment.random_scale(character, rng) if scale else augment.random_mirror(character, rng)
         kept, ring, ball = augment.thin(character, vertex_count, ONE_RING_MAX, BALL_MAX, rng)
         positions.append(character.positions[kept])
         offsets.append(character.medial_offsets[kept])
@@ -67,7 +67,7 @@ def shape_batch(characters: list[Character], rng: np.random.Generator, device, p
         balls.append(ball + graph * vertex_count)
         kept_lists.append(kept)
         joints.append(character.joints)
-        scales.append(scale)
+        scales.append(factors)
     return {
         "positions": torch.from_numpy(np.concatenate(positions).astype(np.float32)).to(device),
         "medial_offsets": torch.from_numpy(np.concatenate(offsets).astype(np.float32)).to(device),
@@ -77,6 +77,7 @@ def shape_batch(characters: list[Character], rng: np.random.Generator, device, p
         "kept": kept_lists,
         "joints": joints,
         "scale": scales,
+        "mirrored": [factors[0] < 0 for factors in scales],
     }
 
 

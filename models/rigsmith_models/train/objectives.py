@@ -5,6 +5,7 @@ import torch
 import torch.nn.functional as F
 
 from ..data.bones import bone_features, candidate_pairs, is_bone, nearest_bones, weights_of_nearest_bones
+from ..data.heter_graph import LINK_INPUTS, heter_graph
 from ..data.sampling import padded_joints, shape_batch
 from ..rignet.skin import BONES_PER_VERTEX
 from .joint_stage import BANDWIDTH_LIMITS, mean_shift_states
@@ -16,6 +17,7 @@ SHARE_JITTER = 0.03  # the inside share of a jittered bone differs from the cach
 DISTANCE_JITTER = 0.05  # relative, same reason
 HARDEST_SHARE = 0.3
 SHIFT_WEIGHT, MASK_WEIGHT = 2.0, 0.1  # of the mean-shift and mask losses beside the Chamfer distance
+L1_WEIGHT = 1.0  # of HeterSkinNet's L1 distance beside its cross-entropy
 SKIN_MASS_MIN = 0.5  # a vertex whose reference weights lie mostly on other bones than its nearest teaches nothing
 
 
@@ -214,6 +216,45 @@ class SkinObjective:
         return (each * taught).sum() / taught.sum().clamp(min=1)
 
 
+class HeterSkinObjective:
+    """Cross-entropy and L1 distance between the weights over the links and the reference's.
+
+    HeterSkinNet, Section 3.4, has the Kullback-Leibler divergence (here without its constant part) and a smoothing term; in its
+    place ours has the L1 distance, which is what weights are judged by.
+    """
+
+    def batch(self, characters, progress, rng, device):
+        batch = shape_batch(characters, rng, device, pose=False, scale=False)
+        slots = max(len(c.joints) for c in characters)
+        parts = {name: [] for name in LINK_INPUTS}
+        for graph, (character, kept, mirrored) in enumerate(zip(characters, batch["kept"], batch["mirrored"])):
+            made = heter_graph(character, kept, mirrored, slots)
+            made["links"] = made["links"] + graph * slots
+            made["joint_neighbours"] = made["joint_neighbours"] + graph * slots
+            made["joint_links"] = made["joint_links"] + graph * len(kept) * made["links"].shape[1]
+            for name in LINK_INPUTS:
+                parts[name].append(made[name])
+        columns = max(table.shape[1] for table in parts["joint_neighbours"])
+        parts["joint_neighbours"] = [np.pad(t, ((0, 0), (0, columns - t.shape[1])), mode="edge") for t in parts["joint_neighbours"]]
+        for name, values in parts.items():
+            batch[name] = torch.from_numpy(np.concatenate(values)).to(device)
+        features = batch["link_features"]
+        noise = torch.from_numpy(np.exp(rng.normal(0, DISTANCE_JITTER, (len(features), 1, 3))).astype(np.float32)).to(device)
+        features[:, :, :3] *= noise
+        return batch
+
+    def loss(self, network, batch) -> torch.Tensor:
+        logit = network(*(batch[name] for name in network.inputs), batch["graph_count"]).float()
+        target = batch["target"]
+        mass = target.sum(1)
+        taught = (mass > SKIN_MASS_MIN).float()
+        share = target / mass.clamp(min=1e-6).unsqueeze(1)
+        entropy = -(share * F.log_softmax(logit, dim=1)).sum(1)
+        found = torch.softmax(logit, dim=1)
+        away = (found - target).abs().sum(1)
+        return (taught * (entropy + L1_WEIGHT * away)).sum() / taught.sum().clamp(min=1)
+
+
 def shape_of(batch: dict) -> tuple:
     return batch["positions"], batch["one_ring"], batch["geodesic_ball"], batch["graph_count"]
 
@@ -230,4 +271,5 @@ OBJECTIVES = {
     "rignet_root": RootObjective,
     "rignet_skin": SkinObjective,
     "rignet_joint_stage": JointStageObjective,
+    "heter_skin_net": HeterSkinObjective,
 }

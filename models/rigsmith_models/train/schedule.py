@@ -23,6 +23,7 @@ PLANS = {
         Plan("rignet_bone", steps=1500, learning_rate=1e-3, share=12.0),
         Plan("rignet_root", steps=2000, learning_rate=1e-3, share=6.0),
         Plan("rignet_skin", steps=3000, learning_rate=1e-3, share=24.0),
+        Plan("heter_skin_net", steps=6000, learning_rate=1e-3, share=24.0),
         Plan("rignet_joint_stage", steps=300, learning_rate=2e-4, share=20.0, after=("rignet_displacement", "rignet_attention")),
     )
 }

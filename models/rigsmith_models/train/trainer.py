@@ -17,7 +17,7 @@ from torch import nn
 
 from ..data.sampling import Pool
 from ..layers import EdgeConv
-from ..rignet import NETWORKS
+from ..networks import NETWORKS
 from .joint_stage import JointStage
 from .objectives import OBJECTIVES
 

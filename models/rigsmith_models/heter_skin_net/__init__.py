@@ -1,0 +1,3 @@
+from .network import HeterSkinNet
+
+__all__ = ["HeterSkinNet"]

@@ -1,0 +1,51 @@
+//! HeterSkinNet [Pan et al. 2021]: the facts that its network reads of a working mesh and a skeleton.
+//!
+//! Mesh and skeleton are in the normalised frame. The distances through voxels and the bone heat are those of the methods that
+//! ask no network, so a program that weighs by them has most of this already.
+
+use super::shape::Shape;
+use crate::cancellation::{Cancellation, Cancelled};
+use crate::geometry::hollow_distance::{HOLLOW_RESOLUTION, hollow_distance};
+use crate::geometry::volumetric_geodesic::bone_euclid;
+use crate::geometry::voxel_binding::VoxelBinding;
+use crate::rig::Skeleton;
+use crate::rig::bone_weights::BoneWeights;
+use crate::rig::heat_weights::{HEAT, heat_weights};
+use crate::rig::heter_graph::{BoneDistances, HeterGraph};
+use crate::rig::skeleton::Bone;
+
+/// The bones of a skeleton with what needs no network to know of them.
+pub struct WeighedBones {
+    /// Leaf bones drawn out to where the body ends. `[B]`
+    pub bones: Vec<Bone>,
+    /// Distance through voxels `[V, B]`, see [`VoxelBinding`].
+    pub voxel_distance: Vec<f32>,
+}
+
+impl WeighedBones {
+    pub fn new(shape: &Shape, skeleton: &Skeleton, cancellation: &Cancellation) -> Result<Self, Cancelled> {
+        let drawn_out = |bone: Bone| Bone { end: shape.reach_of(&bone, skeleton), ..bone };
+        let bones: Vec<Bone> = skeleton.bones().into_iter().map(drawn_out).collect();
+        let segments: Vec<_> = bones.iter().map(|bone| (bone.start, bone.end)).collect();
+        let binding = VoxelBinding::new(&shape.mesh, &shape.solid, &segments);
+        cancellation.check()?;
+        let voxel_distance = binding.distances(&shape.mesh.positions);
+        cancellation.check()?;
+        Ok(Self { bones, voxel_distance })
+    }
+
+    /// Bone heat over the distances through voxels.
+    pub fn heat(&self, shape: &Shape) -> BoneWeights {
+        heat_weights(&shape.mesh, &self.voxel_distance, &self.bones, HEAT)
+    }
+
+    /// What HeterSkinNet reads.
+    pub fn heter_graph(&self, shape: &Shape, skeleton: &Skeleton) -> HeterGraph {
+        let segments: Vec<_> = self.bones.iter().map(|bone| (bone.start, bone.end)).collect();
+        let positions = &shape.mesh.positions;
+        let hollow = hollow_distance(&shape.mesh, &segments, HOLLOW_RESOLUTION);
+        let straight = bone_euclid(positions, &segments);
+        let distances = BoneDistances { hollow: &hollow, voxel: &self.voxel_distance, straight: &straight };
+        HeterGraph::new(positions, skeleton, &self.bones, &distances, &self.heat(shape))
+    }
+}
