@@ -116,6 +116,7 @@ impl Words for Option<SkinMethod> {
     const WORDS: &'static [(&'static str, Self)] = &[
         ("auto", None),
         (SkinMethod::RigNet.name(), Some(SkinMethod::RigNet)),
+        (SkinMethod::HeterSkinNet.name(), Some(SkinMethod::HeterSkinNet)),
         (SkinMethod::GeodesicVoxel.name(), Some(SkinMethod::GeodesicVoxel)),
         (SkinMethod::GeodesicHeat.name(), Some(SkinMethod::GeodesicHeat)),
     ];
@@ -489,7 +490,7 @@ mod tests {
             ("max_influences", json!(4.5), "4.5 is not a whole number from 1 to 8"),
             ("seed", json!(-1), "-1 is not a whole number"),
             ("symmetry", json!("maybe"), "\"maybe\" is not one of auto, on, off"),
-            ("skin_method", json!("heat"), "\"heat\" is not one of auto, rignet, geodesic_voxel, geodesic_heat"),
+            ("skin_method", json!("heat"), "\"heat\" is not one of auto, rignet, heter_skin_net, geodesic_voxel, geodesic_heat"),
             ("skeleton", json!({ "format": "rigsmith.rig/1", "joints": [] }), "no joints"),
             ("outputs", json!([]), "is empty"),
             ("outputs", json!("glb"), "is not a list"),

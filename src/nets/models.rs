@@ -1,6 +1,7 @@
 //! The models folder opened: networks loaded, digests and known answers checked, method by method.
 
 use super::error::NetError;
+use super::heter_skin_net::HeterSkinNet;
 use super::locate::{models_candidates, runtime_candidates};
 use super::manifest::{Licence, Manifest, NetworkEntry};
 use super::network::Network;
@@ -24,6 +25,7 @@ pub struct LoadOptions {
 /// All networks that this build knows. A method whose networks do not all pass is unavailable, and says why.
 pub struct Models {
     rignet: Result<RigNets, String>,
+    heter_skin_net: Result<HeterSkinNet, String>,
     statuses: Vec<ModelStatus>,
     licence: Licence,
     folder: PathBuf,
@@ -57,12 +59,18 @@ impl Models {
         let rignet = (|| {
             Ok(RigNets { displacement: displacement?, attention: attention?, bone: bone?, root: root?, skin: skin? })
         })();
-        Ok(Self { rignet, statuses, licence: manifest.licence, folder })
+        let heter_skin_net = open(HeterSkinNet::NETWORK).map(HeterSkinNet);
+        Ok(Self { rignet, heter_skin_net, statuses, licence: manifest.licence, folder })
     }
 
     /// RigNet's networks, or why the method is unavailable.
     pub fn rignet(&self) -> Result<&RigNets, &str> {
         self.rignet.as_ref().map_err(String::as_str)
+    }
+
+    /// HeterSkinNet, or why it is unavailable.
+    pub fn heter_skin_net(&self) -> Result<&HeterSkinNet, &str> {
+        self.heter_skin_net.as_ref().map_err(String::as_str)
     }
 
     /// Every network, in a fixed order.

@@ -19,6 +19,7 @@ use ndarray::{Array2, ArrayD, ArrayView2, Axis, Ix1, Ix2};
 ///
 /// Each row of a neighbour table starts with the vertex itself; short rows are padded with it, which a maximum does
 /// not notice.
+#[derive(Clone)]
 pub struct ShapeGraph {
     /// `[V, 3]`
     pub positions: Array2<f32>,
@@ -148,7 +149,7 @@ fn sigmoid(logit: f32) -> f32 {
 }
 
 /// The output as an array of the given shape; another shape means that program and models do not fit together.
-fn shaped<D: ndarray::Dimension>(
+pub(super) fn shaped<D: ndarray::Dimension>(
     network: &Network,
     values: ArrayD<f32>,
     expected: &[usize],

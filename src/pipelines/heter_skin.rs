@@ -9,6 +9,7 @@ use crate::geometry::hollow_distance::{HOLLOW_RESOLUTION, hollow_distance};
 use crate::geometry::volumetric_geodesic::bone_euclid;
 use crate::geometry::voxel_binding::VoxelBinding;
 use crate::rig::Skeleton;
+use crate::rig::bone_features::bone_features;
 use crate::rig::bone_weights::BoneWeights;
 use crate::rig::heat_weights::{HEAT, heat_weights};
 use crate::rig::heter_graph::{BoneDistances, HeterGraph};
@@ -37,6 +38,11 @@ impl WeighedBones {
     /// Bone heat over the distances through voxels.
     pub fn heat(&self, shape: &Shape) -> BoneWeights {
         heat_weights(&shape.mesh, &self.voxel_distance, &self.bones, HEAT)
+    }
+
+    /// The bones nearest to each vertex, `[V, K]`, nearest first.
+    pub fn nearest_bones(&self) -> Vec<u32> {
+        bone_features(&self.voxel_distance, &self.bones).nearest
     }
 
     /// What HeterSkinNet reads.

@@ -17,6 +17,7 @@ pub use crate::rig::detect_joints::Fineness as LevelOfDetail;
 pub use crate::rig::verdict::{Quality, Verdict};
 pub use crate::rig::{Rig, Skeleton};
 use glam::{DMat3, DVec3};
+use skin::SkinNets;
 
 /// A published way to make a rig.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -47,6 +48,8 @@ impl Method {
 pub enum SkinMethod {
     /// RigNet's skin network over volumetric geodesic distances [Xu et al. 2020, Section 4.3].
     RigNet,
+    /// A network over the graph of mesh, skeleton and the links between them [Pan et al. 2021].
+    HeterSkinNet,
     /// Falloff of the way through voxels of the solid [Dionne and de Lasa 2013]; asks no network.
     GeodesicVoxel,
     /// Heat that bones give off, by the same way [Baran and Popović 2007]; asks no network.
@@ -55,12 +58,13 @@ pub enum SkinMethod {
 }
 
 impl SkinMethod {
-    pub const ALL: [Self; 3] = [Self::RigNet, Self::GeodesicVoxel, Self::GeodesicHeat];
+    pub const ALL: [Self; 4] = [Self::RigNet, Self::HeterSkinNet, Self::GeodesicVoxel, Self::GeodesicHeat];
 
     /// The name in requests and reports.
     pub const fn name(self) -> &'static str {
         match self {
             Self::RigNet => "rignet",
+            Self::HeterSkinNet => "heter_skin_net",
             Self::GeodesicVoxel => "geodesic_voxel",
             Self::GeodesicHeat => "geodesic_heat",
         }
@@ -248,8 +252,9 @@ impl RigError {
 pub fn rig(subject: Subject, models: &Models, options: &RigOptions, watch: Watch) -> Result<Rigged, RigError> {
     let unavailable =
         |reason: &str| RigError::MethodUnavailable { method: options.method.name(), reason: reason.to_owned() };
+    let skin_nets = SkinNets::of(options.skin_method, models)?;
     match options.method {
-        Method::RigNet => rignet::rig(subject, models.rignet().map_err(unavailable)?, options, watch),
+        Method::RigNet => rignet::rig(subject, models.rignet().map_err(unavailable)?, skin_nets, options, watch),
     }
 }
 
@@ -262,14 +267,7 @@ pub fn skin(
     options: &RigOptions,
     watch: Watch,
 ) -> Result<Rigged, RigError> {
-    let nets = match options.skin_method {
-        SkinMethod::GeodesicVoxel | SkinMethod::GeodesicHeat => None,
-        SkinMethod::RigNet => Some(models.rignet().map_err(|reason| RigError::MethodUnavailable {
-            method: options.skin_method.name(),
-            reason: reason.to_owned(),
-        })?),
-    };
-    skin::skin(subject, skeleton, nets, options, watch)
+    skin::skin(subject, skeleton, SkinNets::of(options.skin_method, models)?, options, watch)
 }
 
 /// Why `method` cannot run here; `None` when it can.

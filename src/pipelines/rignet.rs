@@ -3,7 +3,7 @@
 
 use super::prepared::{Prepared, SYMMETRIC_FROM};
 use super::shape::{Shape, points_f32};
-use super::skin::{Weigher, judged, weigh};
+use super::skin::{SkinNets, judged, weigh};
 use super::{Facts, RigError, RigOptions, Rigged, Stage, Subject, Symmetry, Watch};
 use crate::geometry::symmetry_plane::SymmetryPlane;
 use crate::geometry::transfer::transfer_map;
@@ -15,7 +15,13 @@ use glam::DVec3;
 use ndarray::{Array2, ArrayView2};
 
 /// Rigs `subject` with RigNet.
-pub fn rig(subject: Subject, nets: &RigNets, options: &RigOptions, watch: Watch) -> Result<Rigged, RigError> {
+pub(super) fn rig(
+    subject: Subject,
+    nets: &RigNets,
+    skin_nets: SkinNets,
+    options: &RigOptions,
+    watch: Watch,
+) -> Result<Rigged, RigError> {
     watch.enter(Stage::Normalize)?;
     let mut subject = Prepared::new(subject)?;
     if options.symmetry != Symmetry::Off {
@@ -34,8 +40,7 @@ pub fn rig(subject: Subject, nets: &RigNets, options: &RigOptions, watch: Watch)
     let skeleton = connect(&shape, &graph, nets, &detected, watch)?;
 
     watch.enter(Stage::Skin)?;
-    let weigher = Weigher::new(options.skin_method, nets, &graph);
-    let (skin, vertices_by_nearest_bone) = weigh(&shape, &skeleton, weigher, options.max_influences, watch)?;
+    let (skin, vertices_by_nearest_bone) = weigh(&shape, Some(&graph), &skeleton, skin_nets, options, watch)?;
 
     let quality = judged(&shape, &skeleton, &skin, plane.as_ref());
 

@@ -16,22 +16,26 @@ use super::{Facts, RigError, RigOptions, Rigged, SkinMethod, Stage, Subject, Sym
 use crate::geometry::symmetry_plane::SymmetryPlane;
 use crate::geometry::transfer::transfer_map;
 use crate::geometry::volumetric_geodesic::Segment;
+use crate::nets::Models;
+use crate::nets::heter_skin_net::HeterSkinNet;
 use crate::nets::rignet::{RigNets, ShapeGraph};
 use crate::rig::bone_features::{BONE_CHANNELS, NEAREST_BONES, bone_features};
 use crate::rig::bone_weights::{BoneWeights, PRUNE_SHARE, SMOOTHINGS, TRACE_SHARE};
 use crate::rig::distance_falloff::{FALLOFF, VOXEL_SMOOTHINGS, VOXEL_TRACE_SHARE, falloff_weights};
 use crate::rig::heat_weights::HEAT_TRACE_SHARE;
+use crate::rig::heter_graph::LINK_PRUNE_SHARE;
 use crate::rig::skeleton::Bone;
 use crate::rig::verdict::{self, Quality};
 use crate::rig::{Rig, Skeleton, SkinWeights};
 use glam::DVec3;
 use ndarray::ArrayView2;
+use std::borrow::Cow;
 
-/// Weighs the vertices of `subject` over `skeleton`. `nets` are asked where `options.skin_method` is RigNet.
+/// Weighs the vertices of `subject` over `skeleton` by `nets`.
 pub(super) fn skin(
     subject: Subject,
     skeleton: &Skeleton,
-    nets: Option<&RigNets>,
+    nets: SkinNets,
     options: &RigOptions,
     watch: Watch,
 ) -> Result<Rigged, RigError> {
@@ -44,14 +48,9 @@ pub(super) fn skin(
 
     watch.enter(Stage::Geometry)?;
     let shape = Shape::new(subject.working.mesh.clone());
-    let graph = nets.map(|_| shape.graph(options.seed));
 
     watch.enter(Stage::Skin)?;
-    let weigher = match (nets, &graph) {
-        (Some(nets), Some(graph)) => Weigher::new(options.skin_method, nets, graph),
-        _ => Weigher::Voxels(options.skin_method),
-    };
-    let (skin, vertices_by_nearest_bone) = weigh(&shape, &normalised, weigher, options.max_influences, watch)?;
+    let (skin, vertices_by_nearest_bone) = weigh(&shape, None, &normalised, nets, options, watch)?;
 
     let plane = (shape.symmetry.score >= SYMMETRIC_FROM).then_some(&shape.symmetry);
     let quality = judged(&shape, &normalised, &skin, plane);
@@ -90,52 +89,60 @@ fn far_outside(shape: &Shape, skeleton: &Skeleton) -> Vec<usize> {
 
 /// What answers for the weights.
 #[derive(Clone, Copy)]
-pub(super) enum Weigher<'a> {
-    RigNet {
-        nets: &'a RigNets,
-        graph: &'a ShapeGraph,
-    },
-    /// One of the methods that ask no network.
-    Voxels(SkinMethod),
+pub(super) enum SkinNets<'a> {
+    RigNet(&'a RigNets),
+    HeterSkinNet(&'a HeterSkinNet),
+    /// Falloff of the way through voxels; no network.
+    Falloff,
+    /// Heat by the same way; no network.
+    Heat,
 }
 
-impl<'a> Weigher<'a> {
-    pub(super) fn new(method: SkinMethod, nets: &'a RigNets, graph: &'a ShapeGraph) -> Self {
-        match method {
-            SkinMethod::RigNet => Self::RigNet { nets, graph },
-            SkinMethod::GeodesicVoxel | SkinMethod::GeodesicHeat => Self::Voxels(method),
-        }
+impl<'a> SkinNets<'a> {
+    /// The networks of a skin method, or why it is unavailable.
+    pub(super) fn of(method: SkinMethod, models: &'a Models) -> Result<Self, RigError> {
+        let unavailable =
+            |reason: &str| RigError::MethodUnavailable { method: method.name(), reason: reason.to_owned() };
+        Ok(match method {
+            SkinMethod::RigNet => Self::RigNet(models.rignet().map_err(unavailable)?),
+            SkinMethod::HeterSkinNet => Self::HeterSkinNet(models.heter_skin_net().map_err(unavailable)?),
+            SkinMethod::GeodesicVoxel => Self::Falloff,
+            SkinMethod::GeodesicHeat => Self::Heat,
+        })
     }
 }
 
 /// Weights of the working mesh's vertices over the joints of `skeleton` (normalised frame). Second: vertices that no weight
-/// reached, which follow their nearest bone.
+/// reached, which follow their nearest bone. `graph` is that of `shape`, if it is at hand.
 pub(super) fn weigh(
     shape: &Shape,
+    graph: Option<&ShapeGraph>,
     skeleton: &Skeleton,
-    weigher: Weigher,
-    max_influences: usize,
+    nets: SkinNets,
+    options: &RigOptions,
     watch: Watch,
 ) -> Result<(SkinWeights, usize), RigError> {
+    let made = || graph.map_or_else(|| Cow::Owned(shape.graph(options.seed)), Cow::Borrowed);
     let bones = skeleton.bones();
-    let segments: Vec<Segment> = bones.iter().map(|bone| (bone.start, bone.end)).collect();
-    let (weights, nearest) = match weigher {
-        Weigher::RigNet { nets, graph } => by_network(shape, graph, nets, &bones, &segments, watch)?,
-        Weigher::Voxels(method) => by_voxels(shape, skeleton, method, watch)?,
+    let (weights, nearest) = match nets {
+        SkinNets::RigNet(nets) => by_rignet(shape, &made(), nets, &bones, watch)?,
+        SkinNets::HeterSkinNet(net) => by_heter_skin_net(shape, &made(), net, skeleton, watch)?,
+        SkinNets::Falloff => by_falloff(shape, skeleton, watch)?,
+        SkinNets::Heat => by_heat(shape, skeleton, watch)?,
     };
-    Ok(SkinWeights::from_bones(&weights, &bones, &nearest, max_influences))
+    Ok(SkinWeights::from_bones(&weights, &bones, &nearest, options.max_influences))
 }
 
 /// Volumetric distances and the skin network (RigNet, Section 4.3), cleaned. Second: the nearest bones `[V, K]`.
-fn by_network(
+fn by_rignet(
     shape: &Shape,
     graph: &ShapeGraph,
     nets: &RigNets,
     bones: &[Bone],
-    segments: &[Segment],
     watch: Watch,
 ) -> Result<(BoneWeights, Vec<u32>), RigError> {
-    let distances = shape.bone_distances(segments);
+    let segments: Vec<Segment> = bones.iter().map(|bone| (bone.start, bone.end)).collect();
+    let distances = shape.bone_distances(&segments);
     watch.cancellation.check()?;
     let features = bone_features(&distances, bones);
     let vertex_count = graph.vertex_count();
@@ -151,22 +158,33 @@ fn by_network(
     Ok((smoothed(weights, shape, SMOOTHINGS).pruned(TRACE_SHARE), features.nearest))
 }
 
-/// Distances through voxels, and their falloff or the heat over them. Second: the nearest bones `[V, K]`.
-fn by_voxels(
+/// The graph of mesh, skeleton and links, and the network over it, cleaned. Second: the nearest bones `[V, K]`.
+fn by_heter_skin_net(
     shape: &Shape,
+    graph: &ShapeGraph,
+    net: &HeterSkinNet,
     skeleton: &Skeleton,
-    method: SkinMethod,
     watch: Watch,
 ) -> Result<(BoneWeights, Vec<u32>), RigError> {
     let weighed = WeighedBones::new(shape, skeleton, watch.cancellation)?;
-    let weights = match method {
-        SkinMethod::GeodesicHeat => weighed.heat(shape).pruned(HEAT_TRACE_SHARE),
-        _ => {
-            let weights = falloff_weights(&weighed.voxel_distance, &weighed.bones, &FALLOFF);
-            smoothed(weights, shape, VOXEL_SMOOTHINGS).pruned(VOXEL_TRACE_SHARE)
-        }
-    };
-    Ok((weights, bone_features(&weighed.voxel_distance, &weighed.bones).nearest))
+    let links = weighed.heter_graph(shape, skeleton);
+    watch.cancellation.check()?;
+    let logits = net.link_logits(graph, &links, watch.cancellation)?;
+    let weights = links.weights(logits.iter().copied(), &weighed.bones).pruned(LINK_PRUNE_SHARE);
+    Ok((weights, weighed.nearest_bones()))
+}
+
+/// Falloff of distances through voxels. Second: the nearest bones `[V, K]`.
+fn by_falloff(shape: &Shape, skeleton: &Skeleton, watch: Watch) -> Result<(BoneWeights, Vec<u32>), RigError> {
+    let weighed = WeighedBones::new(shape, skeleton, watch.cancellation)?;
+    let weights = falloff_weights(&weighed.voxel_distance, &weighed.bones, &FALLOFF);
+    Ok((smoothed(weights, shape, VOXEL_SMOOTHINGS).pruned(VOXEL_TRACE_SHARE), weighed.nearest_bones()))
+}
+
+/// Heat over distances through voxels. Second: the nearest bones `[V, K]`.
+fn by_heat(shape: &Shape, skeleton: &Skeleton, watch: Watch) -> Result<(BoneWeights, Vec<u32>), RigError> {
+    let weighed = WeighedBones::new(shape, skeleton, watch.cancellation)?;
+    Ok((weighed.heat(shape).pruned(HEAT_TRACE_SHARE), weighed.nearest_bones()))
 }
 
 fn smoothed(mut weights: BoneWeights, shape: &Shape, times: usize) -> BoneWeights {

@@ -112,13 +112,16 @@ impl BoneWeights {
     }
 }
 
-fn masked_softmax(logits: &[f32], mask: &[f32]) -> [f32; NEAREST_BONES] {
+/// Softmax over the slots that `mask` keeps; zeros where logits are no numbers or nothing is kept.
+pub(super) fn masked_softmax(logits: &[f32], mask: &[f32]) -> Vec<f32> {
     let kept = |slot: usize| mask[slot] > 0.0;
-    let highest = (0..NEAREST_BONES).filter(|&slot| kept(slot)).map(|slot| logits[slot]).fold(f32::MIN, f32::max);
-    let shares: [f32; NEAREST_BONES] =
-        std::array::from_fn(|slot| if kept(slot) { (logits[slot] - highest).exp() } else { 0.0 });
+    let highest = (0..logits.len()).filter(|&slot| kept(slot)).map(|slot| logits[slot]).fold(f32::MIN, f32::max);
+    let mut shares: Vec<f32> =
+        (0..logits.len()).map(|slot| if kept(slot) { (logits[slot] - highest).exp() } else { 0.0 }).collect();
     let sum: f32 = shares.iter().sum();
-    if sum.is_finite() && sum > 0.0 { shares.map(|share| share / sum) } else { [0.0; NEAREST_BONES] }
+    let scale = if sum.is_finite() && sum > 0.0 { sum.recip() } else { 0.0 };
+    shares.iter_mut().for_each(|share| *share = if scale > 0.0 { *share * scale } else { 0.0 });
+    shares
 }
 
 #[cfg(test)]

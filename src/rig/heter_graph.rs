@@ -17,7 +17,7 @@
 //! - Every joint looks at up to [`SIGHT`] of its vertices, evenly spread from near to far, which bounds memory.
 
 use super::Skeleton;
-use super::bone_weights::BoneWeights;
+use super::bone_weights::{BoneWeights, masked_softmax};
 use super::distance_falloff::nearest_of_joints;
 use super::skeleton::Bone;
 use glam::DVec3;
@@ -31,6 +31,8 @@ pub const LINK_CHANNELS: usize = 13;
 pub const JOINT_CHANNELS: usize = 8;
 /// Links that a joint looks at.
 pub const SIGHT: usize = 32;
+/// Weights below this share of a row's greatest are dropped.
+pub const LINK_PRUNE_SHARE: f32 = 0.05;
 /// Stands for a distance that is infinite or absurd: two sides of the frame.
 const FAR: f32 = 2.0;
 
@@ -93,6 +95,27 @@ impl HeterGraph {
             joint_links,
             joint_mask,
         }
+    }
+}
+
+impl HeterGraph {
+    /// Softmax of each vertex's `logits` `[V, K]`, as weights of the first bone of each link's joint. Rows whose logits are no
+    /// numbers become zero.
+    pub fn weights(&self, logits: impl IntoIterator<Item = f32>, bones: &[Bone]) -> BoneWeights {
+        let logits: Vec<f32> = logits.into_iter().collect();
+        let mut bone_of_joint = vec![0; self.joint_mask.len()];
+        bones.iter().enumerate().rev().for_each(|(index, bone)| bone_of_joint[bone.start_joint] = index);
+        let mut values = vec![0.0; logits.len() / LINKS * bones.len()];
+        let rows = values.chunks_exact_mut(bones.len().max(1)).zip(logits.chunks_exact(LINKS));
+        let slots = self.links.chunks_exact(LINKS).zip(self.link_mask.chunks_exact(LINKS));
+        for ((row, logits), (joints, mask)) in rows.zip(slots) {
+            for (slot, share) in
+                masked_softmax(logits, mask).into_iter().enumerate().filter(|&(slot, _)| mask[slot] > 0.0)
+            {
+                row[bone_of_joint[joints[slot] as usize]] += share;
+            }
+        }
+        BoneWeights { bone_count: bones.len(), values }
     }
 }
 
