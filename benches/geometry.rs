@@ -6,6 +6,8 @@ use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 use glam::DVec3;
 use rigsmith::geometry::bone_pairs::BonePair;
 use rigsmith::geometry::bvh::Bvh;
+use rigsmith::geometry::hollow_distance::{HOLLOW_RESOLUTION, hollow_distance};
+use rigsmith::geometry::medial_offset::medial_offsets;
 use rigsmith::geometry::neighbor_table::{GEODESIC_CAP, NeighborTable};
 use rigsmith::geometry::orientation::guess_orientation;
 use rigsmith::geometry::surface_geodesic::{BALL_RADIUS, SurfaceGeodesic};
@@ -107,10 +109,42 @@ fn stages(criterion: &mut Criterion) {
             sink(volumetric_geodesic_distance(&mesh.positions, &geodesic, &surface, &bones));
         });
         bench("voxel_binding", &|| sink(VoxelBinding::new(mesh, &solid, &bones).distances(&mesh.positions)));
+        bench("hollow_distance", &|| sink(hollow_distance(mesh, &bones, HOLLOW_RESOLUTION)));
+        bench("medial_offset", &|| sink(medial_offsets(mesh, &surface)));
         bench("transfer", &|| sink(transfer_map(&upload, &working)));
     }
     group.finish();
 }
 
-criterion_group!(geometry, stages);
+/// How HollowDist grows with bones, with cells and with faces.
+fn hollow_distances(criterion: &mut Criterion) {
+    let mut group = criterion.benchmark_group("hollow_distance");
+    group.sample_size(10);
+    let some = |count: usize| -> Vec<Segment> {
+        let shifted = |(at, (start, end)): (usize, Segment)| {
+            let shift = DVec3::splat(1e-3 * (at / bones().len()) as f64);
+            (start + shift, end + shift)
+        };
+        bones().into_iter().cycle().take(count).enumerate().map(shifted).collect()
+    };
+    let mesh = figure(36);
+    for count in [10, 40, 64, 128, 192] {
+        let bones = some(count);
+        group.bench_function(BenchmarkId::new("bones", count), |bencher| {
+            bencher.iter(|| sink(hollow_distance(&mesh, &bones, HOLLOW_RESOLUTION)));
+        });
+    }
+    for resolution in [44, 88, 128, 176, 256] {
+        group.bench_function(BenchmarkId::new("resolution", resolution), |bencher| {
+            bencher.iter(|| sink(hollow_distance(&mesh, &bones(), resolution)));
+        });
+    }
+    let (million, bones) = (figure(360), some(200));
+    group.bench_function(BenchmarkId::new("faces_200_bones_128", million.triangles.len()), |bencher| {
+        bencher.iter(|| sink(hollow_distance(&million, &bones, 128)));
+    });
+    group.finish();
+}
+
+criterion_group!(geometry, stages, hollow_distances);
 criterion_main!(geometry);

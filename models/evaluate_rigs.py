@@ -21,7 +21,7 @@ import numpy as np
 from rigsmith_models.data.prepare import synthetic_rigs
 from rigsmith_models.data.shards import Rig, RigShard
 from rigsmith_models.evaluation import baselines, metrics, pictures, shipped, tables
-from rigsmith_models.evaluation.measure import Setting, attempt, measured, official_rig
+from rigsmith_models.evaluation.measure import SKIN_METHODS, Setting, attempt, measured, official_rig
 from rigsmith_models.evaluation.program import Program
 
 REPOSITORY = Path(__file__).resolve().parents[1]
@@ -119,7 +119,7 @@ class Worker:
         result, made, weights = measured(rig, self.setting())
         ours, name = result.figures["joints"]["rigsmith"], result.meta["name"]
         caption = (f"{name} ({result.meta['category']})  IoU {ours['iou']:.2f}  CD-J2J {100 * ours['cd_j2j']:.1f}%  "
-                   f"{len(made.joints)} joints for {len(rig.joints)}  skin L1 {result.figures['skin']['geodesic_heat']['l1']:.2f}")
+                   f"{len(made.joints)} joints for {len(rig.joints)}  skin L1 {result.figures['skin'][SKIN_METHODS[0]]['l1']:.2f}")
         parents = rig.parents.astype(int)
         row = pictures.row(rig.vertices.astype(float), rig.faces, (rig.joints.astype(float), parents, rig.weights),
                            (made.joints, made.parents), weights, caption)

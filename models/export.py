@@ -4,6 +4,7 @@
     python models/export.py rignet_skin        only this one; the others keep their file and their manifest entry
     python models/export.py --untrained        also networks without a run (right interface, random weights)
     python models/export.py --joint-stage      displacement and attention from the joint fine-tuning
+    A network whose further runs are named runs/<network>_2, _3 ... is exported as the mean of all of them.
     python models/evaluate.py                  afterwards: fills in the validation figures and the calibration
 """
 
@@ -20,6 +21,7 @@ import torch
 from onnx import TensorProto, helper, numpy_helper
 
 from rigsmith_models import known_answer
+from rigsmith_models.committee import Committee
 from rigsmith_models.folding import folded
 from rigsmith_models.networks import NETWORKS
 from rigsmith_models.train.joint_stage import JointStage
@@ -167,6 +169,11 @@ def trained(name: str, joint_stage: bool) -> tuple[torch.nn.Module, Settings, di
         return NETWORKS[name](settings.width, settings.normalisation).eval(), settings, None
     network, record = averaged_network(run)
     training = training_record(name, run, record)
+    further = sorted(RUNS.glob(f"{name}_[0-9]/checkpoint.pt"))
+    if further:
+        members = [averaged_network(path) for path in further]
+        network = Committee([network, *(member for member, _ in members)]).eval()
+        training["members"] = [training_record(name, path, own) for path, (_, own) in zip(further, members)]
     part = {whole: part for part, whole in JointStage.parts.items()}.get(name)
     if joint_stage and part:
         both, tuning = averaged_network(fine_tuning)

@@ -490,7 +490,11 @@ mod tests {
             ("max_influences", json!(4.5), "4.5 is not a whole number from 1 to 8"),
             ("seed", json!(-1), "-1 is not a whole number"),
             ("symmetry", json!("maybe"), "\"maybe\" is not one of auto, on, off"),
-            ("skin_method", json!("heat"), "\"heat\" is not one of auto, rignet, heter_skin_net, geodesic_voxel, geodesic_heat"),
+            (
+                "skin_method",
+                json!("heat"),
+                "\"heat\" is not one of auto, rignet, heter_skin_net, geodesic_voxel, geodesic_heat",
+            ),
             ("skeleton", json!({ "format": "rigsmith.rig/1", "joints": [] }), "no joints"),
             ("outputs", json!([]), "is empty"),
             ("outputs", json!("glb"), "is not a list"),

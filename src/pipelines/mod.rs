@@ -49,11 +49,11 @@ pub enum SkinMethod {
     /// RigNet's skin network over volumetric geodesic distances [Xu et al. 2020, Section 4.3].
     RigNet,
     /// A network over the graph of mesh, skeleton and the links between them [Pan et al. 2021].
+    #[default]
     HeterSkinNet,
     /// Falloff of the way through voxels of the solid [Dionne and de Lasa 2013]; asks no network.
     GeodesicVoxel,
     /// Heat that bones give off, by the same way [Baran and Popović 2007]; asks no network.
-    #[default]
     GeodesicHeat,
 }
 

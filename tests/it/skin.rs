@@ -124,7 +124,7 @@ fn the_program_gives_back_the_skeleton_that_it_was_given() {
     std::fs::write(folder.path().join("mine.rig.json"), file.to_string()).expect("writes");
     let input = sample();
     let input = input.to_str().expect("path");
-    for method in ["rignet", "geodesic_voxel", "geodesic_heat"] {
+    for method in ["rignet", "heter_skin_net", "geodesic_voxel", "geodesic_heat"] {
         let arguments = ["skin", input, "--skeleton", "mine.rig.json", "--skin-method", method];
         let outputs = ["-o", "out.glb", "-o", "out.rig.json", "-o", "out.txt", "--report", "report.json"];
         succeeded(&rigsmith(folder.path(), &[&arguments[..], &outputs].concat()));

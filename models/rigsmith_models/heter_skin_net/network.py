@@ -37,7 +37,7 @@ class HeterSkinNet(nn.Module):
               "joint_links", "joint_mask")
     output = "link_logit"
 
-    def __init__(self, width: float = 1.0, normalisation: str = "batch", dropout: float = 0.0):
+    def __init__(self, width: float = 1.0, normalisation: str = "batch", dropout: float = 0.3):
         super().__init__()
         c = int(width * 128)
         self.vertex_code = perceptron([7, c, c], normalisation)
