@@ -1,5 +1,6 @@
 //! What a create request says, as JSON, as parameters, and as it is told back with the job.
 
+use super::words::{ExistingRigName, OutputName, PriorityName, SkinMethodName, SymmetryName};
 use crate::jobs::options::{axis_name, skin_method_name};
 use crate::jobs::{JobRequest, LevelOfDetail, RigOptions};
 use serde::Serialize;
@@ -23,13 +24,13 @@ pub struct OptionsView {
     #[param(required = false, minimum = 0.005, maximum = 0.5)]
     #[schema(example = json!(null), minimum = 0.005, maximum = 0.5, required = false)]
     pub bandwidth: Option<f64>,
-    /// `auto`, `on` or `off`.
-    #[param(required = false, default = "auto")]
-    #[schema(example = "auto", required = false)]
+    /// Whether left and right are made alike.
+    #[param(required = false, default = "auto", value_type = SymmetryName)]
+    #[schema(example = "auto", required = false, value_type = SymmetryName)]
     pub symmetry: &'static str,
-    /// What weighs the vertices: `auto`, `rignet`, `geodesic_voxel` or `geodesic_heat`.
-    #[param(required = false, default = "auto")]
-    #[schema(example = "auto")]
+    /// What weighs the vertices.
+    #[param(required = false, default = "auto", value_type = SkinMethodName)]
+    #[schema(example = "auto", required = false, value_type = SkinMethodName)]
     pub skin_method: &'static str,
     /// A skeleton to make weights for, instead of making one: the text of a `rig.json`, of which `format` and `joints` are
     /// read; in JSON also as an object. It stays as it is. A job shows how many joints it has.
@@ -52,13 +53,13 @@ pub struct OptionsView {
     #[param(required = false, default = "auto")]
     #[schema(example = "auto", required = false)]
     pub front: &'static str,
-    /// For a file that has a skeleton: `reject` or `replace`.
-    #[param(required = false, default = "reject")]
-    #[schema(example = "reject", required = false)]
+    /// For a file that has a skeleton.
+    #[param(required = false, default = "reject", value_type = ExistingRigName)]
+    #[schema(example = "reject", required = false, value_type = ExistingRigName)]
     pub existing_rig: &'static str,
-    /// Files to make: `glb`, `gltf`, `rig_json`, `rignet_txt`, `preview_png`. In a query or form, separated by commas.
-    #[param(required = false, style = Form, explode = false)]
-    #[schema(example = json!(["glb", "rig_json"]), required = false)]
+    /// Files to make. In a query or form, separated by commas.
+    #[param(required = false, style = Form, explode = false, value_type = Vec<OutputName>)]
+    #[schema(example = json!(["glb", "rig_json"]), required = false, value_type = Vec<OutputName>)]
     pub outputs: Vec<&'static str>,
 }
 
@@ -66,8 +67,8 @@ pub struct OptionsView {
 #[derive(Debug, Serialize, ToSchema)]
 #[schema(as = JobWishes)]
 pub struct WishesView {
-    /// What runs first when jobs wait: `low`, `normal` or `high`.
-    #[schema(example = "normal", required = false)]
+    /// What runs first when jobs wait.
+    #[schema(example = "normal", required = false, value_type = PriorityName)]
     pub priority: &'static str,
     /// Longest run.
     #[schema(example = 300, minimum = 1, required = false)]
@@ -84,8 +85,8 @@ pub struct WishesView {
 #[derive(IntoParams)]
 #[into_params(parameter_in = Query)]
 pub struct WishesParameters {
-    /// What runs first when jobs wait: `low`, `normal` or `high`.
-    #[param(default = "normal", example = "normal")]
+    /// What runs first when jobs wait.
+    #[param(default = "normal", example = "normal", value_type = Option<PriorityName>)]
     pub priority: Option<String>,
     /// Longest run; at most what `GET /v1/methods` says.
     #[param(minimum = 1, example = 120)]
@@ -109,23 +110,24 @@ pub struct RequestView {
 }
 
 /// A create request in JSON: an asset, and any of the options.
-#[derive(ToSchema)]
+#[derive(Serialize, ToSchema)]
 #[schema(as = CreateRig)]
 pub struct CreateView {
     /// Id of an asset; or a small mesh in the request itself, as
     /// `{"inline": {"media_type": "model/gltf-binary", "base64": "…"}}`, 4 MiB at most.
     #[schema(value_type = String, example = "ast_01jdf5fj5rfxm8s1m2q1d2zt8v")]
     pub asset: String,
-    #[schema(inline)]
+    #[serde(flatten)]
     pub options: OptionsView,
+    #[serde(flatten)]
+    pub wishes: WishesView,
 }
 
 /// Which file to write of a rig.
 #[derive(ToSchema)]
 #[schema(as = ExportRig)]
 pub struct ExportView {
-    /// `glb`, `gltf`, `rig_json`, `rignet_txt` or `preview_png`.
-    #[schema(example = "gltf")]
+    #[schema(value_type = OutputName, example = "gltf")]
     pub output: String,
     /// Joints per vertex at most, if not as the rig was asked for. Not more than were made.
     #[schema(example = 2, minimum = 1, maximum = 8)]

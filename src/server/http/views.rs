@@ -1,10 +1,14 @@
 //! What goes over the wire as JSON. Built from inner types here, and nowhere else.
 
+use super::check_views::{ExistingView, MeshView};
 use super::error::Limit;
 use super::request_views::RequestView;
 use super::timestamp::rfc3339;
+use super::words::{SeverityName, StageName, StateName};
 use crate::formats::Severity;
-use crate::jobs::{ArtifactInfo, Asset, FileInfo, Job, JobError, JobResult, JobState, ModelInfo, Notice, asset_sha256};
+use crate::jobs::{
+    ArtifactInfo, Asset, Check, FileInfo, Job, JobError, JobResult, JobState, ModelInfo, Notice, asset_sha256,
+};
 use serde::Serialize;
 use serde_json::{Map, Value};
 use std::collections::BTreeMap;
@@ -19,11 +23,9 @@ pub struct JobView {
     pub id: String,
     #[schema(example = "rig")]
     pub object: &'static str,
-    /// `queued`, `running`, `succeeded`, `failed`, `canceled`; `expired` once the results are gone.
-    #[schema(example = "succeeded")]
+    #[schema(value_type = StateName, example = "succeeded")]
     pub state: &'static str,
-    /// `ingest`, `check`, `normalize`, `geometry`, `joints`, `connect`, `skin`, `transfer`, `export` or `validate`.
-    #[schema(example = "validate")]
+    #[schema(value_type = Option<StageName>, example = "validate")]
     pub stage: Option<&'static str>,
     /// Never falls; 100 only with `succeeded`.
     #[schema(example = 100, minimum = 0, maximum = 100)]
@@ -84,6 +86,10 @@ pub struct AssetView {
     pub bytes: u64,
     /// The one to rig first.
     pub files: Vec<FileView>,
+    /// What the files hold; `null` when they cannot be read, and a finding says why.
+    pub mesh: Option<MeshView>,
+    pub existing: Option<ExistingView>,
+    pub findings: Vec<FindingView>,
     #[schema(example = "2026-11-24T15:20:07.042Z", format = DateTime)]
     pub created_at: String,
     /// When it goes, unless it is used again before.
@@ -147,11 +153,15 @@ pub struct ModelView {
 pub struct FindingView {
     #[schema(example = "degenerate_faces")]
     pub code: String,
-    #[schema(example = "warning")]
+    #[schema(value_type = SeverityName, example = "warning")]
     pub severity: &'static str,
     #[schema(example = "12 faces have no area and are ignored")]
     pub message: String,
+    #[schema(example = "")]
     pub hint: String,
+    /// Names of the parts of the file that it is about, twenty at most; empty: the whole file.
+    #[schema(example = json!(["Hair", "Body, primitive 1"]))]
+    pub r#where: Vec<String>,
 }
 
 /// What came out.
@@ -187,7 +197,7 @@ pub struct ArtifactView {
 pub struct JobErrorView {
     #[schema(example = "no_joints_found")]
     pub code: &'static str,
-    #[schema(example = "joints")]
+    #[schema(value_type = Option<StageName>, example = "joints")]
     pub stage: Option<&'static str>,
     #[schema(example = "no joints were found with bandwidths from 0.02 to 0.1")]
     pub message: String,
@@ -339,8 +349,9 @@ impl ArtifactView {
     }
 }
 
-impl From<&Asset> for AssetView {
-    fn from(asset: &Asset) -> Self {
+impl AssetView {
+    /// An asset, and what a look at its files gave.
+    pub fn new(asset: &Asset, check: Result<&Check, &JobError>) -> Self {
         let path = format!("/v1/assets/{}", asset.id);
         Self {
             id: asset.id.to_string(),
@@ -348,6 +359,12 @@ impl From<&Asset> for AssetView {
             sha256: hex(&asset.sha256),
             bytes: asset.bytes(),
             files: asset.files.iter().map(FileView::from).collect(),
+            mesh: check.ok().map(MeshView::from),
+            existing: check.ok().map(ExistingView::from),
+            findings: match check {
+                Ok(check) => check.findings.iter().map(FindingView::from).collect(),
+                Err(error) => vec![FindingView::from(error)],
+            },
             created_at: rfc3339(asset.created_at),
             expires_at: rfc3339(asset.expires_at),
             links: AssetLinksView { content: format!("{path}/content"), this: path },
@@ -367,7 +384,21 @@ impl From<&Notice> for FindingView {
             Severity::Info => "info",
             Severity::Warning => "warning",
         };
-        Self { code: finding.code.clone(), severity, message: finding.message.clone(), hint: finding.hint.clone() }
+        let Notice { code, parts, message, hint, .. } = finding.clone();
+        Self { code, severity, message, hint, r#where: parts }
+    }
+}
+
+/// Why a file cannot be read.
+impl From<&JobError> for FindingView {
+    fn from(error: &JobError) -> Self {
+        Self {
+            code: error.code.name().to_owned(),
+            severity: "error",
+            message: error.message.clone(),
+            hint: error.hint.clone(),
+            r#where: Vec::new(),
+        }
     }
 }
 
