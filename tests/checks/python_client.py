@@ -63,11 +63,20 @@ class Claims:
         self.models = module(f"{PACKAGE}.models")
         self.File = module(f"{PACKAGE}.types").File
 
-    def ask(self, group: str, name: str, *arguments, **named):
-        """The answer of an operation, read by the client."""
+    def answer(self, group: str, name: str, *arguments, **named):
         operation = importlib.import_module(f"{PACKAGE}.api.{group}.{name}")
-        answer = operation.sync_detailed(*arguments, client=self.client, **named)
-        assert answer.status_code < 300 or isinstance(answer.parsed, self.models.Problem), answer
+        return operation.sync_detailed(*arguments, client=self.client, **named)
+
+    def ask(self, *arguments, **named):
+        """What an operation answers, read by the client."""
+        answer = self.answer(*arguments, **named)
+        assert answer.status_code < 300, answer
+        return answer.parsed
+
+    def refused(self, *arguments, **named):
+        """The problem that an operation answers with."""
+        answer = self.answer(*arguments, **named)
+        assert isinstance(answer.parsed, self.models.Problem) and answer.parsed.status == answer.status_code, answer
         return answer.parsed
 
     def mesh(self):
@@ -131,11 +140,10 @@ class Claims:
         rigs = self.ask("rigs", "list_rigs", state=self.models.RigState.SUCCEEDED, page_size=50).data
         assert self.rig.id in [rig.id for rig in rigs], rigs
         assert self.ask("rigs", "delete_rig", self.rig.id) is None
-        problem = self.ask("rigs", "get_rig", self.rig.id)
-        assert problem.code == "not_found" and problem.status == 404, problem
+        assert self.refused("rigs", "get_rig", self.rig.id).code == "not_found"
 
     def a_refusal_is_read_as_a_problem(self) -> None:
-        problem = self.ask("rigs", "create_rig", body=self.models.CreateRig(asset=self.asset.id, detail=1.5))
+        problem = self.refused("rigs", "create_rig", body=self.models.CreateRig(asset=self.asset.id, detail=1.5))
         assert problem.code == "invalid_parameter" and problem.errors[0].field == "detail", problem
 
 

@@ -1,4 +1,7 @@
 //! What a create request says, as JSON, as parameters, and as it is told back with the job.
+//!
+//! Defaults stand in the texts alone: generated clients send a parameter that has a `default` always, and then it contradicts
+//! the same field of the body.
 
 use super::words::{ExistingRigName, OutputName, PriorityName, SkinMethodName, SymmetryName};
 use crate::jobs::options::{axis_name, skin_method_name};
@@ -12,24 +15,24 @@ use utoipa::{IntoParams, ToSchema};
 #[schema(as = RigOptions)]
 #[into_params(parameter_in = Query)]
 pub struct OptionsView {
-    /// A method of `GET /v1/methods`, or `auto`.
-    #[param(required = false, default = "auto")]
+    /// A method of `GET /v1/methods`, or `auto`, which it is unless given.
+    #[param(required = false)]
     #[schema(example = "auto", required = false)]
     pub method: String,
-    /// How many joints: 0 (few) to 1 (many). Not together with `bandwidth`.
-    #[param(required = false, default = 0.5, minimum = 0, maximum = 1)]
+    /// How many joints: 0 (few) to 1 (many); 0.5 unless given. Not together with `bandwidth`.
+    #[param(required = false, minimum = 0, maximum = 1)]
     #[schema(example = 0.5, minimum = 0, maximum = 1, required = false)]
     pub detail: Option<f64>,
     /// For experts: RigNet's mean-shift bandwidth in units of the longest side; larger means fewer joints.
     #[param(required = false, minimum = 0.005, maximum = 0.5)]
     #[schema(example = json!(null), minimum = 0.005, maximum = 0.5, required = false)]
     pub bandwidth: Option<f64>,
-    /// Whether left and right are made alike.
-    #[param(required = false, default = "auto", value_type = SymmetryName)]
+    /// Whether left and right are made alike; `auto` unless given.
+    #[param(required = false, value_type = SymmetryName)]
     #[schema(example = "auto", required = false, value_type = SymmetryName)]
     pub symmetry: &'static str,
-    /// What weighs the vertices.
-    #[param(required = false, default = "auto", value_type = SkinMethodName)]
+    /// What weighs the vertices; `auto` unless given.
+    #[param(required = false, value_type = SkinMethodName)]
     #[schema(example = "auto", required = false, value_type = SkinMethodName)]
     pub skin_method: &'static str,
     /// A skeleton to make weights for, instead of making one: the text of a `rig.json`, of which `format` and `joints` are
@@ -37,27 +40,27 @@ pub struct OptionsView {
     #[param(required = false)]
     #[schema(example = json!(null), required = false)]
     pub skeleton: Option<String>,
-    /// Joints per vertex at most.
-    #[param(required = false, default = 4, minimum = 1, maximum = 8)]
+    /// Joints per vertex at most; 4 unless given.
+    #[param(required = false, minimum = 1, maximum = 8)]
     #[schema(example = 4, minimum = 1, maximum = 8, required = false)]
     pub max_influences: usize,
-    /// The same bytes for the same seed.
-    #[param(required = false, default = 0, minimum = 0)]
+    /// The same bytes for the same seed; 0 unless given.
+    #[param(required = false, minimum = 0)]
     #[schema(example = 0, minimum = 0, required = false)]
     pub seed: u64,
-    /// Which way is up: `auto`, `x`, `-x`, `y`, `-y`, `z` or `-z`.
-    #[param(required = false, default = "auto")]
+    /// Which way is up: `auto` (unless given), `x`, `-x`, `y`, `-y`, `z` or `-z`.
+    #[param(required = false)]
     #[schema(example = "auto", required = false)]
     pub up: &'static str,
     /// Which way the character faces, in the same words.
-    #[param(required = false, default = "auto")]
+    #[param(required = false)]
     #[schema(example = "auto", required = false)]
     pub front: &'static str,
-    /// For a file that has a skeleton.
-    #[param(required = false, default = "reject", value_type = ExistingRigName)]
+    /// For a file that has a skeleton; `reject` unless given.
+    #[param(required = false, value_type = ExistingRigName)]
     #[schema(example = "reject", required = false, value_type = ExistingRigName)]
     pub existing_rig: &'static str,
-    /// Files to make. In a query or form, separated by commas.
+    /// Files to make; `glb` and `rig_json` unless given. In a query or form, separated by commas.
     #[param(required = false, style = Form, explode = false, value_type = Vec<OutputName>)]
     #[schema(example = json!(["glb", "rig_json"]), required = false, value_type = Vec<OutputName>)]
     pub outputs: Vec<&'static str>,
@@ -67,7 +70,7 @@ pub struct OptionsView {
 #[derive(Debug, Serialize, ToSchema)]
 #[schema(as = JobWishes)]
 pub struct WishesView {
-    /// What runs first when jobs wait.
+    /// What runs first when jobs wait; `normal` unless given.
     #[schema(example = "normal", required = false, value_type = PriorityName)]
     pub priority: &'static str,
     /// Longest run.
@@ -85,8 +88,8 @@ pub struct WishesView {
 #[derive(IntoParams)]
 #[into_params(parameter_in = Query)]
 pub struct WishesParameters {
-    /// What runs first when jobs wait.
-    #[param(default = "normal", example = "normal", value_type = Option<PriorityName>)]
+    /// What runs first when jobs wait; `normal` unless given.
+    #[param(example = "normal", value_type = Option<PriorityName>)]
     pub priority: Option<String>,
     /// Longest run; at most what `GET /v1/methods` says.
     #[param(minimum = 1, example = 120)]
