@@ -8,8 +8,10 @@ use rigsmith::pipelines::{REVISION, SkinMethod};
 /// The revision that the figures are of.
 const OF: u32 = 1;
 /// Share of all weight that each joint of a chain up the middle has, by skin method.
-const SHARES: [(SkinMethod, [f64; 4]); 2] =
-    [(SkinMethod::GeodesicVoxel, [0.2705, 0.4228, 0.2256, 0.0811]), (SkinMethod::GeodesicHeat, [0.2444, 0.4666, 0.2095, 0.0795])];
+const SHARES: [(SkinMethod, [f64; 4]); 2] = [
+    (SkinMethod::GeodesicVoxel, [0.2705, 0.4228, 0.2256, 0.0811]),
+    (SkinMethod::GeodesicHeat, [0.2444, 0.4666, 0.2095, 0.0795]),
+];
 /// More than the rounding of another processor, less than any change worth the name.
 const TOLERANCE: f64 = 5e-4;
 

@@ -2,13 +2,13 @@
 
 use super::App;
 use super::artifacts::{FileBytes, serve_file};
+use super::asset_views::AssetView;
 use super::authenticate::Identity;
 use super::error::{ApiError, Code};
 use super::idempotency::{self, Turn};
 use super::negotiate::query;
 use super::receive;
 use super::segments::Segments;
-use super::views::AssetView;
 use crate::jobs::{ArtifactInfo, Asset, Check, JobError, Received, Refusal, asset_sha256};
 use axum::Json;
 use axum::extract::{Request, State};

@@ -1,6 +1,7 @@
 //! The REST interface. A handler extracts, calls [`crate::jobs`], and answers.
 
 pub mod artifacts;
+pub mod asset_views;
 pub mod assets;
 pub mod authenticate;
 pub mod check_views;

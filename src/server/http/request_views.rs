@@ -116,14 +116,33 @@ pub struct RequestView {
 #[derive(Serialize, ToSchema)]
 #[schema(as = CreateRig)]
 pub struct CreateView {
-    /// Id of an asset; or a small mesh in the request itself, as
-    /// `{"inline": {"media_type": "model/gltf-binary", "base64": "…"}}`, 4 MiB at most.
-    #[schema(value_type = String, example = "ast_01jdf5fj5rfxm8s1m2q1d2zt8v")]
-    pub asset: String,
+    #[schema(example = "ast_01jdf5fj5rfxm8s1m2q1d2zt8v")]
+    pub asset: AssetSourceView,
     #[serde(flatten)]
     pub options: OptionsView,
     #[serde(flatten)]
     pub wishes: WishesView,
+}
+
+/// Id of an asset, or a small mesh in the request itself.
+#[derive(Serialize, ToSchema)]
+#[serde(untagged)]
+#[schema(as = AssetSource)]
+pub enum AssetSourceView {
+    Id(String),
+    Inline { inline: InlineView },
+}
+
+/// A mesh of 4 MiB at most.
+#[derive(Serialize, ToSchema)]
+#[schema(as = InlineMesh)]
+pub struct InlineView {
+    /// As `Content-Type` would say.
+    #[schema(example = "model/gltf-binary")]
+    pub media_type: String,
+    /// Its bytes in base64, with padding.
+    #[schema(example = "Z2xURgIAAAA=")]
+    pub base64: String,
 }
 
 /// Which file to write of a rig.
