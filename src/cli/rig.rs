@@ -50,7 +50,7 @@ pub struct AnySkeletonArguments {
     /// Make left and right alike: auto, on or off.
     #[arg(long, value_name = "auto|on|off")]
     symmetry: Option<String>,
-    /// What weighs the vertices: auto, rignet, geodesic_voxel or geodesic_heat.
+    /// What weighs the vertices: auto, rignet, heter_skin_net, geodesic_voxel or geodesic_heat.
     #[arg(long, value_name = "NAME")]
     skin_method: Option<String>,
     /// Most joints that may move one vertex, 1 to 8.

@@ -13,6 +13,7 @@ pub mod orientation;
 pub mod place_hash;
 pub mod point_tree;
 mod solid_cells;
+pub mod stance;
 pub mod surface_geodesic;
 pub mod surface_samples;
 mod surface_voxels;
