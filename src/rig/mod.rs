@@ -6,9 +6,10 @@
 //! | joints → tree → skeleton, bones       | [`spanning_tree`], [`skeleton`]                                   |
 //! | bone distances → what the network reads | [`bone_features`]                                               |
 //! | logits or distances → weights         | [`bone_weights`], [`distance_falloff`], [`heat_weights`], [`skin_weights`] |
-//! | rig → posed mesh, figures             | [`bind_pose`], [`forward_kinematics`], [`linear_blend_skinning`], [`quality`] |
+//! | rig → posed mesh, figures             | [`bind_pose`], [`forward_kinematics`], [`linear_blend_skinning`], [`quality`], [`verdict`] |
 
 pub mod bind_pose;
+mod bleed;
 pub mod bone_features;
 pub mod bone_weights;
 mod cell_grid;
@@ -22,6 +23,7 @@ pub mod linear_blend_skinning;
 mod modes;
 pub mod non_maximum_suppression;
 pub mod quality;
+mod range_of_motion;
 pub mod skeleton;
 pub mod skin_weights;
 pub mod spanning_tree;

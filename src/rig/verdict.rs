@@ -10,15 +10,15 @@
 //! chosen, not fitted. On every third validation rig they call 9 good, 5 usable and 3 poor with the artist's skeleton and our
 //! weights, and 7, 7 and 3 of the rigs that are all ours; bleeding weights are the most frequent reason. Pure; O(J · E log V).
 
+use super::bleed::bleed;
 use super::linear_blend_skinning::posed_positions;
 use super::quality::{inside_share, mirror_error};
+use super::range_of_motion::{poses, stretch, volume_change};
 use super::{Skeleton, SkinWeights};
 use crate::geometry::symmetry_plane::SymmetryPlane;
 use crate::mesh::Mesh;
 use crate::mesh::adjacency::{Neighbors, one_ring};
-use glam::{DQuat, DVec3};
-use std::cmp::Reverse;
-use std::collections::BinaryHeap;
+use glam::DVec3;
 
 /// What is judged.
 pub struct Subject<'a> {
@@ -72,19 +72,6 @@ impl Verdict {
 
 /// Points looked at along each bone.
 const BONE_SAMPLES: usize = 16;
-/// Over the surface, this far from where a joint reigns, its weight is bleeding: a quarter of the character's height.
-const BLEED_REACH: f64 = 0.25;
-/// Parts that hang together only in space are bridged up to this distance: hair, eyes, clothes.
-const BRIDGE: f64 = 0.03;
-/// Every joint but the root turns this far about each axis in turn.
-const POSE_RADIANS: f64 = 35.0 * std::f64::consts::PI / 180.0;
-/// Edges shorter than this say nothing of stretch.
-const EDGE_LENGTH_MIN: f64 = 1e-4;
-/// The share of edges that may be worse than the stretch that is told.
-const STRETCH_TAIL: f64 = 0.01;
-/// Less volume than this (in cubes of the longest side) is no solid.
-const VOLUME_MIN: f64 = 1e-4;
-
 /// Judges a rig.
 pub fn judge(subject: &Subject) -> Quality {
     let Subject { mesh, skeleton, skin, is_inside, plane } = subject;
@@ -122,61 +109,6 @@ fn bone_outside(skeleton: &Skeleton, is_inside: &(dyn Fn(DVec3) -> bool + Sync))
     if total > 0.0 { outside / total } else { 0.0 }
 }
 
-/// Per joint: share of its weight farther than [`BLEED_REACH`] over the surface from the vertices that it moves most.
-fn bleed(mesh: &Mesh, ring: &Neighbors, skin: &SkinWeights, joint_count: usize) -> Vec<f64> {
-    let mut reigned: Vec<Vec<u32>> = vec![Vec::new(); joint_count];
-    for (vertex, row) in skin.rows.iter().enumerate() {
-        if let Some(list) = row.first().and_then(|first| reigned.get_mut(first.joint as usize)) {
-            list.push(vertex as u32);
-        }
-    }
-    (0..joint_count)
-        .map(|joint| {
-            let Some(sources) = reigned.get(joint).filter(|sources| !sources.is_empty()) else { return 0.0 };
-            let reached = within_reach(mesh, ring, sources);
-            let (mut far, mut total) = (0.0, 0.0);
-            for (vertex, row) in skin.rows.iter().enumerate() {
-                let weight = row.iter().find(|part| part.joint as usize == joint);
-                let Some(weight) = weight.map(|part| f64::from(part.weight)) else { continue };
-                total += weight;
-                let place = mesh.positions[vertex];
-                // Another part of the mesh is near when it is near in space.
-                let beside = || sources.iter().any(|&source| mesh.positions[source as usize].distance(place) <= BRIDGE);
-                if !reached[vertex] && !beside() {
-                    far += weight;
-                }
-            }
-            if total > 0.0 { far / total } else { 0.0 }
-        })
-        .collect()
-}
-
-/// Which vertices lie within [`BLEED_REACH`] of `sources` along the edges [Dijkstra 1959].
-fn within_reach(mesh: &Mesh, ring: &Neighbors, sources: &[u32]) -> Vec<bool> {
-    let mut best = vec![f64::INFINITY; mesh.positions.len()];
-    // Distances are positive, so their bits sort as they do.
-    let mut queue: BinaryHeap<Reverse<(u64, u32)>> = BinaryHeap::new();
-    for &source in sources {
-        best[source as usize] = 0.0;
-        queue.push(Reverse((0, source)));
-    }
-    while let Some(Reverse((bits, vertex))) = queue.pop() {
-        let distance = f64::from_bits(bits);
-        if distance > best[vertex as usize] {
-            continue;
-        }
-        for &next in ring.row(vertex as usize) {
-            let step = mesh.positions[vertex as usize].distance(mesh.positions[next as usize]);
-            let through = distance + step;
-            if through <= BLEED_REACH && through < best[next as usize] {
-                best[next as usize] = through;
-                queue.push(Reverse((through.to_bits(), next)));
-            }
-        }
-    }
-    best.into_iter().map(f64::is_finite).collect()
-}
-
 fn roughness(ring: &Neighbors, skin: &SkinWeights) -> f64 {
     let (mut total, mut edges) = (0.0, 0usize);
     for (vertex, row) in skin.rows.iter().enumerate().take(ring.vertex_count()) {
@@ -191,47 +123,6 @@ fn roughness(ring: &Neighbors, skin: &SkinWeights) -> f64 {
         }
     }
     if edges > 0 { total / edges as f64 } else { 0.0 }
-}
-
-/// The range of motion: about each axis forth and back, all joints but the root at once.
-fn poses(joint_count: usize) -> Vec<Vec<DQuat>> {
-    let turns = [DVec3::X, DVec3::NEG_X, DVec3::Y, DVec3::Z, DVec3::NEG_Z];
-    turns
-        .iter()
-        .map(|&axis| {
-            let turned = DQuat::from_axis_angle(axis, POSE_RADIANS);
-            (0..joint_count).map(|joint| if joint == 0 { DQuat::IDENTITY } else { turned }).collect()
-        })
-        .collect()
-}
-
-/// The factor by which the edge at the end of the tail is longer or shorter than at rest.
-fn stretch(ring: &Neighbors, rest: &[DVec3], posed: &[DVec3]) -> f64 {
-    let mut factors = Vec::new();
-    for vertex in 0..ring.vertex_count().min(rest.len()) {
-        for next in ring.row(vertex).iter().map(|&next| next as usize).filter(|&next| next > vertex) {
-            let (before, after) = (rest[vertex].distance(rest[next]), posed[vertex].distance(posed[next]));
-            if before > EDGE_LENGTH_MIN {
-                let after = after.max(EDGE_LENGTH_MIN * 0.1);
-                factors.push((after / before).max(before / after));
-            }
-        }
-    }
-    factors.sort_unstable_by(f64::total_cmp);
-    let place = ((1.0 - STRETCH_TAIL) * factors.len() as f64) as usize;
-    factors.get(place.min(factors.len().saturating_sub(1))).copied().unwrap_or(1.0)
-}
-
-/// Signed volume by the divergence theorem: a sixth of the sum of `a · (b × c)`.
-fn volume(triangles: &[[u32; 3]], positions: &[DVec3]) -> f64 {
-    let corner = |index: u32| positions.get(index as usize).copied().unwrap_or_default();
-    triangles.iter().map(|&[a, b, c]| corner(a).dot(corner(b).cross(corner(c)))).sum::<f64>() / 6.0
-}
-
-fn volume_change(mesh: &Mesh, poses: &[Vec<DVec3>]) -> Option<f64> {
-    let rest = volume(&mesh.triangles, &mesh.positions).abs();
-    let changes = poses.iter().map(|posed| (volume(&mesh.triangles, posed).abs() / rest - 1.0).abs());
-    (rest > VOLUME_MIN).then(|| changes.fold(0.0, f64::max))
 }
 
 /// Bounds of one figure: from `usable` on it is not good, from `poor` on it is poor.
