@@ -67,6 +67,10 @@ pub struct ServeConfig {
     #[arg(long, env = "RIGSMITH_KEY_JOBS", value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..))]
     pub key_jobs: u32,
 
+    /// MiB of uploads per hour of one key, unless its line in the keys file says otherwise
+    #[arg(long, env = "RIGSMITH_KEY_UPLOAD_MIB_PER_HOUR", value_name = "MIB", default_value_t = 10_240, value_parser = clap::value_parser!(u64).range(1..))]
+    pub key_upload_mib_per_hour: u64,
+
     /// Folder for uploads and results while they are needed; made when missing
     #[arg(long, env = "RIGSMITH_DATA", value_name = "DIR", default_value = "data")]
     pub data: PathBuf,

@@ -5,6 +5,7 @@ use super::files::InputFile;
 use super::rig::OptionArguments;
 use clap::Args;
 use rigsmith::jobs::{Watch, check_file};
+use rigsmith::server::http::check_views::CheckView;
 use serde_json::Value;
 use std::path::PathBuf;
 
@@ -24,7 +25,8 @@ pub fn run(arguments: &CheckArguments) -> Result<(), Failure> {
     let file = InputFile::read(&arguments.input)?;
     let check = check_file(&file.name, &file.bytes, &file.siblings, &options, &Watch::unattended())
         .map_err(|error| Failure::job(&arguments.input, &error))?;
-    let check = Value::Object(check);
+    let check =
+        serde_json::to_value(CheckView::from(&check)).map_err(|error| Failure::internal(error.to_string(), ""))?;
     if arguments.json {
         let text = serde_json::to_string_pretty(&check).map_err(|error| Failure::internal(error.to_string(), ""))?;
         println!("{text}");

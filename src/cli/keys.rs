@@ -2,7 +2,7 @@
 
 use super::failure::Failure;
 use clap::{Args, Subcommand};
-use rigsmith::server::keys::{self, KeysError};
+use rigsmith::server::keys::{self, KeysError, OwnQuota};
 use std::path::PathBuf;
 
 #[derive(Subcommand)]
@@ -32,6 +32,9 @@ pub struct NewArguments {
     /// Unfinished jobs, if not what the service gives every key.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     jobs: Option<u32>,
+    /// MiB of uploads per hour, if not what the service gives every key.
+    #[arg(long, value_name = "MIB", value_parser = clap::value_parser!(u64).range(1..))]
+    upload_mib_per_hour: Option<u64>,
     #[command(flatten)]
     file: FileArgument,
 }
@@ -48,21 +51,24 @@ pub fn run(command: &KeysCommand) -> Result<(), Failure> {
     let failed = |error: KeysError| Failure::settings(error.to_string(), "");
     match command {
         KeysCommand::New(new) => {
-            let path = &new.file.keys;
-            let secret = keys::add(path, &new.caller, new.requests_per_minute, new.jobs).map_err(failed)?;
+            let NewArguments { requests_per_minute, jobs, upload_mib_per_hour, .. } = *new;
+            let quota = OwnQuota { requests_per_minute, jobs, upload_mib_per_hour };
+            let secret = keys::add(&new.file.keys, &new.caller, quota).map_err(failed)?;
             println!("{secret}");
             eprintln!("{} has a new key; this is the only time it is shown", new.caller);
         }
         KeysCommand::List(file) => {
             for entry in keys::entries(&file.keys).map_err(failed)? {
-                let number = |number: Option<u32>| number.map_or("default".to_owned(), |number| number.to_string());
+                let number = |number: Option<u64>| number.map_or("default".to_owned(), |number| number.to_string());
+                let OwnQuota { requests_per_minute, jobs, upload_mib_per_hour } = entry.quota();
                 println!(
-                    "{}  {:<16}  {}  requests/minute {}  jobs {}",
+                    "{}  {:<16}  {}  requests/minute {}  jobs {}  upload MiB/hour {}",
                     entry.id,
                     entry.caller,
                     entry.created_at.as_deref().unwrap_or("-"),
-                    number(entry.requests_per_minute),
-                    number(entry.jobs),
+                    number(requests_per_minute.map(u64::from)),
+                    number(jobs.map(u64::from)),
+                    number(upload_mib_per_hour),
                 );
             }
         }

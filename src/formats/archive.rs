@@ -41,6 +41,7 @@ pub(super) fn decode(bytes: &[u8], limits: &Limits, options: &DecodeOptions) -> 
         let others: Vec<&str> = others.iter().take(5).map(|entry| entry.name.as_str()).collect();
         asset.findings.push(Finding {
             code: "several_meshes",
+            parts: Vec::new(),
             severity: Severity::Warning,
             message: format!("the archive holds several mesh files; {name} was taken, not {}", others.join(", ")),
             hint: "send the mesh files one by one".into(),

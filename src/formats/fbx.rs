@@ -13,8 +13,8 @@ use super::scene::linear_from_srgb;
 use super::scene_builder::{Attributes, Corner, NONE, SceneBuilder};
 use super::soundness::{check_counts, check_position};
 use super::{
-    Asset, Axes, Axis, DecodeError, DecodeOptions, ExistingRig, Finding, Format, Limits, Part, Place, Severity,
-    Siblings, Source,
+    Asset, Axes, Axis, Contents, DecodeError, DecodeOptions, ExistingRig, Finding, Format, Limits, Part, Place,
+    Severity, Siblings, Source,
 };
 use crate::mesh::Mesh;
 use glam::{DMat3, DVec3};
@@ -51,11 +51,17 @@ pub fn decode(
     (decoded.materials, decoded.images, findings) = materials.finish(findings);
     findings.extend(space_finding(scene));
     let (skins, joints) = (scene.skin_deformers.count, scene.bones.count);
+    let contents = Contents {
+        meshes: scene.meshes.into_iter().filter(|mesh| mesh.num_triangles > 0).count(),
+        animations: scene.anim_stacks.count,
+        morph_targets: scene.blend_channels.count,
+    };
     Ok(Asset {
         format: Format::Fbx,
         mesh: Mesh { positions: geometry.positions, triangles },
         parts: geometry.parts,
         axes: (scene.settings.axes.up != CoordinateAxis::Unknown).then_some(Axes { up: Axis::PosY, front: Axis::PosZ }),
+        contents,
         existing_rig: (skins + joints > 0).then_some(ExistingRig { skins, joints }),
         findings,
         source: Source::Scene(decoded),
@@ -137,6 +143,7 @@ fn space_finding(scene: &ufbx::Scene) -> Option<Finding> {
     let (axes, unit) = (scene.settings.axes, scene.settings.unit_meters);
     (axes.up != CoordinateAxis::PositiveY || unit != 1.0).then(|| Finding {
         code: "converted_space",
+        parts: Vec::new(),
         severity: Severity::Info,
         message: format!("the file's space (up {:?}, unit {unit} m) was converted to y up and metres", axes.up),
         hint: String::new(),

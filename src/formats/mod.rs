@@ -81,7 +81,7 @@ pub fn decode_as(
     if let (Some(rig), ExistingRigPolicy::Reject) = (asset.existing_rig, options.existing_rig) {
         return Err(DecodeError::AlreadyRigged { skins: rig.skins, joints: rig.joints });
     }
-    asset.findings.extend(soundness::check(&asset.mesh, limits)?);
+    asset.findings.extend(soundness::check(&asset.mesh, &asset.parts, limits)?);
     Ok(asset)
 }
 
@@ -112,6 +112,8 @@ pub struct Asset {
     pub parts: Vec<Part>,
     /// What the file says of its axes; `None` for formats that say nothing (OBJ, PLY, STL).
     pub axes: Option<Axes>,
+    /// What the file holds, in counts.
+    pub contents: Contents,
     /// A skeleton and skin that came with the file.
     pub existing_rig: Option<ExistingRig>,
     /// What was noticed while reading, for the report.
@@ -124,7 +126,9 @@ impl Asset {
     /// An asset of one part: every file vertex in file order.
     fn from_scene(format: Format, name: &str, mesh: Mesh, scene: Scene, findings: Vec<Finding>) -> Self {
         let parts = vec![Part { name: name.into(), mesh: 0, primitive: 0, vertices: 0..mesh.positions.len() }];
-        Self { format, mesh, parts, axes: None, existing_rig: None, findings, source: Source::Scene(scene) }
+        let contents = Contents { meshes: scene.nodes.len(), ..Contents::default() };
+        let source = Source::Scene(scene);
+        Self { format, mesh, parts, axes: None, contents, existing_rig: None, findings, source }
     }
 }
 
@@ -219,6 +223,26 @@ impl Axis {
     }
 }
 
+impl Part {
+    /// Its name, and its number where the mesh has more than one primitive before it.
+    pub fn label(&self) -> String {
+        match self.primitive {
+            0 => self.name.clone(),
+            primitive => format!("{}, primitive {primitive}", self.name),
+        }
+    }
+}
+
+/// What a file holds as it was sent, beside the mesh that is rigged.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Contents {
+    /// Meshes that are rigged; one that is placed twice counts once.
+    pub meshes: usize,
+    pub animations: usize,
+    /// Of all these meshes.
+    pub morph_targets: usize,
+}
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ExistingRig {
     pub skins: usize,
@@ -230,6 +254,8 @@ pub struct ExistingRig {
 pub struct Finding {
     /// Stable, snake_case.
     pub code: &'static str,
+    /// Labels of the parts that it is about, at most a few; empty: the whole file.
+    pub parts: Vec<String>,
     pub severity: Severity,
     /// What was found, with names and counts.
     pub message: String,

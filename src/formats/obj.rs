@@ -119,6 +119,7 @@ impl Statements<'_> {
         if self.line_or_point_count > 0 {
             findings.push(Finding {
                 code: "lines_and_points",
+                parts: Vec::new(),
                 severity: Severity::Info,
                 message: format!("{} lines and points were left out", self.line_or_point_count),
                 hint: String::new(),
@@ -127,6 +128,7 @@ impl Statements<'_> {
         if let Some((line, word)) = &self.unknown {
             findings.push(Finding {
                 code: "unknown_statement",
+                parts: Vec::new(),
                 severity: Severity::Info,
                 message: format!("line {line}: {word} is not a known OBJ statement and was left out"),
                 hint: String::new(),
@@ -186,6 +188,7 @@ impl Statements<'_> {
 fn missing_library(name: &str) -> Finding {
     Finding {
         code: "missing_material_library",
+        parts: Vec::new(),
         severity: Severity::Warning,
         message: format!("the material library {name} was not sent; the mesh stays without its materials"),
         hint: format!("send {name} and its textures along, for example in one zip"),

@@ -192,6 +192,7 @@ impl Contents {
         if self.degenerate_polygons > 0 {
             findings.push(Finding {
                 code: "faces_without_area",
+                parts: Vec::new(),
                 severity: Severity::Info,
                 message: format!("{} faces of fewer than three corners were left out", self.degenerate_polygons),
                 hint: String::new(),
@@ -200,6 +201,7 @@ impl Contents {
         if self.has_face_coordinates {
             findings.push(Finding {
                 code: "face_texture_coordinates",
+                parts: Vec::new(),
                 severity: Severity::Warning,
                 message: "texture coordinates that faces carry were left out; only those of vertices are read".into(),
                 hint: "send the mesh as OBJ with its material library, or as GLB".into(),

@@ -201,6 +201,7 @@ impl<'a> SceneBuilder<'a> {
         found
             .map(|(code, count, message)| Finding {
                 code,
+                parts: Vec::new(),
                 severity: Severity::Info,
                 message: format!("{count} {message}"),
                 hint: String::new(),

@@ -1,6 +1,6 @@
 //! What every decoded mesh is checked for, whatever file it came from. Past this point meshes are trusted.
 
-use super::{DecodeError, Finding, Limits, Place, Severity};
+use super::{DecodeError, Finding, Limits, Part, Place, Severity};
 use crate::mesh::Mesh;
 use glam::DVec3;
 
@@ -16,7 +16,7 @@ const STEPS_MIN: f64 = 64.0;
 const COARSE_STEPS: f64 = 20_000.0;
 
 /// Refuses a mesh that cannot be worked on; otherwise tells what is noteworthy about it.
-pub(super) fn check(mesh: &Mesh, limits: &Limits) -> Result<Vec<Finding>, DecodeError> {
+pub(super) fn check(mesh: &Mesh, parts: &[Part], limits: &Limits) -> Result<Vec<Finding>, DecodeError> {
     check_counts(mesh.positions.len() as u64, mesh.triangles.len() as u64, limits)?;
     check_positions(mesh)?;
     if mesh.triangles.is_empty() {
@@ -28,19 +28,21 @@ pub(super) fn check(mesh: &Mesh, limits: &Limits) -> Result<Vec<Finding>, Decode
     let is_used = used_vertices(mesh)?;
     let mut findings = Vec::new();
     check_extent(mesh, &is_used, &mut findings)?;
-    check_areas(mesh, &mut findings)?;
-    let unused = is_used.iter().filter(|&&used| !used).count();
-    if unused > 0 {
+    check_areas(mesh, parts, &mut findings)?;
+    let unused: Vec<usize> = (0..is_used.len()).filter(|&vertex| !is_used[vertex]).collect();
+    if !unused.is_empty() {
         findings.push(Finding {
             code: "unused_vertices",
+            parts: labels(parts, unused.iter().copied()),
             severity: Severity::Info,
-            message: format!("{unused} of {} vertices belong to no face", is_used.len()),
+            message: format!("{} of {} vertices belong to no face", unused.len(), is_used.len()),
             hint: String::new(),
         });
     }
     if mesh.triangles.len() > limits.faces_without_a_word {
         findings.push(Finding {
             code: "many_faces",
+            parts: Vec::new(),
             severity: Severity::Info,
             message: format!("the mesh has {} faces; it will take longer", mesh.triangles.len()),
             hint: format!("decimate below {} faces if that is too slow", limits.faces_without_a_word),
@@ -110,6 +112,7 @@ fn check_extent(mesh: &Mesh, is_used: &[bool], findings: &mut Vec<Finding>) -> R
     if longest_side < COARSE_STEPS * step {
         findings.push(Finding {
             code: "far_from_origin",
+            parts: Vec::new(),
             severity: Severity::Warning,
             message: format!(
                 "the mesh is {longest_side} long but up to {} from the origin; single precision rounds it to {step:e}",
@@ -121,7 +124,7 @@ fn check_extent(mesh: &Mesh, is_used: &[bool], findings: &mut Vec<Finding>) -> R
     Ok(())
 }
 
-fn check_areas(mesh: &Mesh, findings: &mut Vec<Finding>) -> Result<(), DecodeError> {
+fn check_areas(mesh: &Mesh, parts: &[Part], findings: &mut Vec<Finding>) -> Result<(), DecodeError> {
     let is_degenerate = |triangle: &&[u32; 3]| {
         let [a, b, c] = triangle.map(|corner| mesh.positions[corner as usize]);
         let size = (b - a).abs().max((c - a).abs()).max_element();
@@ -129,17 +132,34 @@ fn check_areas(mesh: &Mesh, findings: &mut Vec<Finding>) -> Result<(), DecodeErr
         size == 0.0 || ((b - a) / size).cross((c - a) / size) == DVec3::ZERO
     };
     let faces = mesh.triangles.len();
-    let degenerate = mesh.triangles.iter().filter(is_degenerate).count();
-    if degenerate == faces {
+    let degenerate: Vec<&[u32; 3]> = mesh.triangles.iter().filter(is_degenerate).collect();
+    if degenerate.len() == faces {
         return Err(DecodeError::AllDegenerate { faces });
     }
-    if degenerate > 0 {
+    if !degenerate.is_empty() {
         findings.push(Finding {
             code: "degenerate_faces",
+            parts: labels(parts, degenerate.iter().map(|corners| corners[0] as usize)),
             severity: Severity::Info,
-            message: format!("{degenerate} of {faces} faces have no area"),
+            message: format!("{} of {faces} faces have no area", degenerate.len()),
             hint: String::new(),
         });
     }
     Ok(())
+}
+
+/// A finding names this many parts.
+const PARTS_NAMED_MAX: usize = 20;
+
+/// Labels of the parts that have any of `vertices`, in the order of the parts.
+fn labels(parts: &[Part], vertices: impl Iterator<Item = usize>) -> Vec<String> {
+    let mut has_any = vec![false; parts.len()];
+    for vertex in vertices {
+        let part = parts.partition_point(|part| part.vertices.end <= vertex);
+        if let Some(has) = has_any.get_mut(part) {
+            *has = true;
+        }
+    }
+    let named = parts.iter().zip(has_any).filter(|(_, has)| *has);
+    named.map(|(part, _)| part.label()).take(PARTS_NAMED_MAX).collect()
 }

@@ -93,6 +93,7 @@ fn read_binary(bytes: &[u8], limits: &Limits) -> Result<(Solids, Vec<Finding>), 
     if available > needed {
         findings.push(Finding {
             code: "trailing_bytes",
+            parts: Vec::new(),
             severity: Severity::Warning,
             message: format!(
                 "{} bytes after the last of the {facets} declared facets were left out",

@@ -36,6 +36,7 @@ impl<'a> Textures<'a> {
             None if self.allow_missing => {
                 self.findings.push(Finding {
                     code: "missing_texture",
+                    parts: Vec::new(),
                     severity: Severity::Warning,
                     message: format!("the texture {name} was not sent; its material stays without it"),
                     hint: format!("send {} along, for example in one zip", base_name(name)),
@@ -62,6 +63,7 @@ impl<'a> Textures<'a> {
         let Some(media_type) = ImageType::of(&bytes) else {
             self.findings.push(Finding {
                 code: "texture_format",
+                parts: Vec::new(),
                 severity: Severity::Warning,
                 message: format!("the texture {name} is neither PNG nor JPEG and cannot be put into a glTF file"),
                 hint: "convert it to PNG".into(),

@@ -11,6 +11,7 @@ pub mod orientation;
 pub mod place_hash;
 pub mod point_tree;
 mod solid_cells;
+pub mod stance;
 pub mod surface_geodesic;
 pub mod surface_samples;
 pub mod symmetry_plane;

@@ -1,7 +1,9 @@
 //! Uploaded meshes that outlive one request: the same files of the same caller are the same asset.
 
+use super::check::Check;
 use super::ids::AssetId;
 use super::job::FileInfo;
+use std::sync::Arc;
 use std::time::SystemTime;
 
 /// An upload that is kept.
@@ -28,4 +30,6 @@ impl Asset {
 pub struct PutAsset {
     pub asset: Asset,
     pub created: bool,
+    /// What it holds.
+    pub check: Arc<Check>,
 }

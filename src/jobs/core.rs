@@ -1,5 +1,6 @@
 //! What doors, workers and the keeper share.
 
+use super::checking::Looks;
 use super::job::{Job, JobState};
 use super::perform::{NamedFile, Rigger};
 use super::queue::StartError;
@@ -32,6 +33,8 @@ pub struct Core {
     /// Told when there may be work, or when none will come any more.
     pub wake: Notify,
     pub checks: Arc<Semaphore>,
+    /// What was seen of assets.
+    pub looks: Looks,
     /// One worker at a time takes a job, so that two do not count on the same free memory.
     pub claiming: tokio::sync::Mutex<()>,
     /// Worker threads that have not left.
@@ -87,6 +90,7 @@ impl Core {
             watchers: Watchers::default(),
             wake: Notify::new(),
             checks: Arc::new(Semaphore::new(settings.workers.max(1))),
+            looks: Looks::default(),
             claiming: tokio::sync::Mutex::new(()),
             workers_left: AtomicUsize::new(0),
             draining: AtomicBool::new(false),

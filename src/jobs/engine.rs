@@ -1,5 +1,6 @@
 //! The work itself: an upload's bytes in, artifacts out. The command line and the workers call the same function.
 
+use super::check::Check;
 use super::failure::{ErrorCode, JobError};
 use super::options::{Output, RigOptions};
 use super::perform::{Artifact, MethodInfo, Outcome, Readiness, RigRequest, Rigger, Watch};
@@ -67,12 +68,12 @@ pub fn check_file(
     siblings: &dyn Siblings,
     options: &RigOptions,
     watch: &Watch,
-) -> Result<serde_json::Map<String, serde_json::Value>, JobError> {
+) -> Result<Check, JobError> {
     let method = method_of(options)?;
     // A check tells of an existing rig rather than refusing it.
     let lenient = RigOptions { existing_rig: formats::ExistingRigPolicy::Replace, ..options.clone() };
     let upload = Upload::read(file_name, bytes, siblings, &lenient, &Limits::default(), watch)?;
-    Ok(report::check(method, options, &upload))
+    Ok(Check::of(method, options, upload))
 }
 
 /// The upload of `request`, decoded as it was for its rig.
@@ -125,13 +126,13 @@ impl Rigger for Engine {
         self.rig_file(&main.name, &main.bytes, &siblings, &options, watch)
     }
 
-    fn check(
-        &self,
-        request: &RigRequest,
-        watch: &Watch,
-    ) -> Result<serde_json::Map<String, serde_json::Value>, JobError> {
+    fn check(&self, request: &RigRequest, watch: &Watch) -> Result<Check, JobError> {
         let (main, siblings) = request.split()?;
         check_file(&main.name, &main.bytes, &siblings, &request.options, watch)
+    }
+
+    fn engine_version(&self) -> String {
+        format!("{}/{}", env!("CARGO_PKG_VERSION"), pipelines::REVISION)
     }
 
     fn methods(&self) -> Vec<MethodInfo> {
@@ -192,6 +193,7 @@ fn orientation_of(
     if let Some(guess) = guess {
         findings.push(Finding {
             code: "orientation_guessed",
+            parts: Vec::new(),
             severity: if guess.confidence < 0.5 { Severity::Warning } else { Severity::Info },
             message: format!(
                 "the file does not say which way is up: took {} as up and {} as front (confidence {:.2})",

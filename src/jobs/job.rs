@@ -127,6 +127,8 @@ pub struct JobResult {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Notice {
     pub code: String,
+    /// Labels of the parts that it is about; empty: the whole file.
+    pub parts: Vec<String>,
     pub severity: Severity,
     pub message: String,
     pub hint: String,
@@ -134,8 +136,8 @@ pub struct Notice {
 
 impl From<Finding> for Notice {
     fn from(finding: Finding) -> Self {
-        let Finding { code, severity, message, hint } = finding;
-        Self { code: code.to_owned(), severity, message, hint }
+        let Finding { code, parts, severity, message, hint } = finding;
+        Self { code: code.to_owned(), parts, severity, message, hint }
     }
 }
 

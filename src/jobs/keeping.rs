@@ -11,12 +11,6 @@ use super::upload::Received;
 use crate::storage::Content;
 
 impl Jobs {
-    /// The files of an asset, read.
-    pub async fn load_asset(&self, caller: &Caller, id: AssetId) -> Result<Vec<NamedFile>, Refusal> {
-        let asset = self.asset(caller, id).await?.ok_or(Refusal::NotFound(Missing::Asset))?;
-        self.load_files(&asset.files, Missing::Asset).await
-    }
-
     /// Files by their digests, read; the main one first.
     pub async fn load_files(
         &self,
@@ -31,18 +25,19 @@ impl Jobs {
         self.core().load(&places).await.map_err(Refusal::Store)
     }
 
-    /// Keeps an upload as an asset of `caller`, or finds the one that it is.
+    /// Keeps an upload as an asset of `caller`, or finds the one that it is. One that cannot be read as a mesh is refused.
     pub async fn put_asset(&self, caller: &Caller, received: Received) -> Result<PutAsset, Refusal> {
         if self.core().is_draining() {
             return Err(Refusal::Draining);
         }
+        let (check, received) = self.check_received(received).await?;
         let (core, caller) = (self.core().clone(), caller.clone());
         let memory_bytes = memory::expected_bytes(&received.files());
         let put = self.core().detached(async move {
             let (files, retention) = (received.blobs(), core.settings.keep_time);
             let (asset, created, kept) = core.jobs.put_asset(&caller, &files, memory_bytes, retention).await?;
             keep([Some(received.bundle), None], &kept);
-            Ok(PutAsset { asset, created })
+            Ok(PutAsset { asset, created, check })
         });
         Ok(put.await?)
     }

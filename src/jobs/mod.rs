@@ -3,17 +3,18 @@
 //!
 //! For doors:
 //!
-//! 1. [`options`]     what a caller may ask for, checked field by field
+//! 1. [`options`]     what a caller may ask for, checked field by field by `options_reader`
 //! 2. [`upload`]      [`Upload`], [`Received`]: files while they arrive; dropped, they leave nothing
 //! 3. [`submission`]  [`Submission`]: who asks for what, how urgently; [`Refusal`]: why not
-//! 4. [`queue`]       [`Jobs`]: the one way to jobs and assets, see below; its parts `checking` (a look without a job), `exporting`
-//!    (other forms of a rig) and `keeping` (assets, contents) stand in files of their own
+//! 4. [`queue`]       [`Jobs`]: the one way to jobs and assets, see below; its parts `looking` (what became of them), `checking` (a
+//!    look at a mesh without a job), `exporting` (other forms of a rig) and `keeping` (assets, contents) stand in files of their own
 //! 5. [`job`], [`asset`], [`event`], [`page`]  what a caller sees; [`failure`] why there is no rig, by who must act
 //!
 //! | wish | call |
 //! |---|---|
 //! | receive files | [`Jobs::upload`] → [`Upload::begin`], [`Upload::append`], [`Upload::finish`] → [`Received`] |
 //! | keep them | [`Jobs::put_asset`], [`Jobs::asset`], [`Jobs::delete_asset`] |
+//! | look at a mesh | [`Jobs::check`], [`Jobs::check_asset`] → [`Check`] |
 //! | a job | [`Jobs::submit`] of [`Submission::new`]`(caller, source, options)`; [`Submitted::replayed`] tells a repetition |
 //! | look | [`Jobs::get`], [`Jobs::get_by_client_id`], [`Jobs::list`], [`Jobs::wait`] |
 //! | watch | [`Jobs::events`] → [`Events::next`]: snapshot, state, progress, warning, artifact, done |
@@ -31,6 +32,7 @@
 //! two requests the same).
 
 pub mod asset;
+pub mod check;
 mod checking;
 pub mod clock;
 mod core;
@@ -45,8 +47,10 @@ pub mod ids;
 pub mod job;
 mod keeper;
 mod keeping;
+mod looking;
 pub mod memory;
 pub mod options;
+mod options_reader;
 pub mod page;
 pub mod perform;
 pub mod queue;
@@ -63,12 +67,14 @@ mod watchers;
 mod worker;
 
 pub use asset::{Asset, PutAsset};
+pub use check::{Check, Riggable};
 pub use engine::{Engine, check_file};
 pub use event::{Event, EventKind};
 pub use failure::{ErrorClass, ErrorCode, JobError, PassedLimit};
 pub use history::Events;
 pub use ids::{AssetId, JobId, NotAnId};
 pub use job::{ArtifactInfo, FileInfo, Job, JobRequest, JobResult, JobState, Notice};
+pub use looking::Denied;
 pub use options::{
     DEFAULT_DETAIL, DEFAULT_MAX_INFLUENCES, ExistingRigPolicy, FieldError, FieldProblem, LevelOfDetail, OptionsReader,
     Output, RigOptions, Skeleton, SkinMethod, Symmetry,
@@ -77,7 +83,7 @@ pub use page::{NoPage, Page};
 pub use perform::{
     Artifact, Availability, MethodInfo, ModelInfo, NamedFile, Outcome, Readiness, RigRequest, Rigger, Timing, Watch,
 };
-pub use queue::{Denied, Jobs, StartError};
+pub use queue::{Jobs, StartError};
 pub use settings::Settings;
 pub use skeleton::{canonical_skeleton, read_skeleton};
 pub use stage::Stage;

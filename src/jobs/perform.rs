@@ -1,5 +1,6 @@
 //! The one call that does the work, for the command line and for the workers.
 
+use super::check::Check;
 use super::failure::{ErrorCode, JobError};
 use super::options::{Output, RigOptions};
 use super::stage::Stage;
@@ -15,11 +16,10 @@ pub trait Rigger: Send + Sync {
     fn perform(&self, request: &RigRequest, watch: &Watch) -> Result<Outcome, JobError>;
 
     /// What would be rigged, without doing it: findings and an estimate. Fast (below 2 s), no networks.
-    fn check(
-        &self,
-        request: &RigRequest,
-        watch: &Watch,
-    ) -> Result<serde_json::Map<String, serde_json::Value>, JobError>;
+    fn check(&self, request: &RigRequest, watch: &Watch) -> Result<Check, JobError>;
+
+    /// Names what decides a result beside files, options and networks: equal requests under another version are done anew.
+    fn engine_version(&self) -> String;
 
     /// Every method this build knows, also those that cannot run here.
     fn methods(&self) -> Vec<MethodInfo>;

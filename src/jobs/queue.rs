@@ -1,19 +1,15 @@
-//! The one way to jobs, for every door: submit, look, wait, watch, cancel, delete. Refuses early instead
-//! of queueing without bound.
+//! The one way to jobs, for every door: here they are started, submitted and ended. Refuses early instead of queueing
+//! without bound.
 
 use super::clock::{SteadyClock, Timestamp};
 use super::core::{Core, OwnRuntime};
 use super::failure::JobError;
-use super::history::Events;
-use super::ids::JobId;
-use super::job::{Job, JobState};
 use super::options::{FieldError, FieldProblem, RigOptions};
-use super::page::{NoPage, Page, read_token, token};
 use super::perform::{Availability, MethodInfo, Readiness, Rigger};
 use super::running::Stop;
 use super::settings::Settings;
 use super::store::sqlite::SqliteStore;
-use super::store::{Admission, Change, Counts, JobFilter, JobStore, NewFiles, NewJob, Remembered, StoreFailure};
+use super::store::{Admission, Counts, JobStore, NewFiles, NewJob, Remembered, StoreFailure};
 use super::submission::{Caller, Refusal, Source, Submission, Submitted};
 use super::upload::Upload;
 use super::{counted, keeper, memory, recipe, worker};
@@ -21,7 +17,7 @@ use crate::storage::{Bundle, Store, StoreError};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
-use tokio::time::{Instant, timeout, timeout_at};
+use tokio::time::timeout;
 
 /// Why the service has no jobs.
 #[derive(Debug, thiserror::Error)]
@@ -32,17 +28,6 @@ pub enum StartError {
     Store(#[from] StoreError),
     #[error(transparent)]
     Io(#[from] std::io::Error),
-}
-
-/// What became of a wish to cancel or delete.
-#[derive(Clone, Debug, thiserror::Error)]
-pub enum Denied {
-    #[error("there is no such job")]
-    NotFound,
-    #[error("the job is {}", .0.name())]
-    State(JobState),
-    #[error(transparent)]
-    Unavailable(#[from] StoreFailure),
 }
 
 /// The jobs of one data folder. Clones share them; the workers leave with the last clone.
@@ -59,8 +44,6 @@ impl Drop for Handle {
 
 /// The job database within the data folder.
 const DATABASE: &str = "jobs.db";
-/// How often a waiting caller looks, whatever it hears: another process may work on the job.
-const LOOK_AGAIN: Duration = Duration::from_secs(1);
 /// How long [`Jobs::close`] waits for workers.
 const CLOSE_TIME: Duration = Duration::from_secs(5);
 
@@ -186,7 +169,7 @@ impl Jobs {
         self.method_exists(&submission.options)?;
         let core = self.core().clone();
         let wish = recipe::wish(&submission);
-        let recipe = recipe::recipe(&submission.options, &self.methods());
+        let recipe = recipe::recipe(&submission.options, &self.methods(), &core.rigger.engine_version());
         let skeleton = self.skeleton(submission.skeleton).await?;
         let settings = core.settings;
         let (files, received) = match submission.source {
@@ -268,80 +251,6 @@ impl Jobs {
         };
         let written = tokio::task::spawn_blocking(write).await.unwrap_or(Err(StoreError::Interrupted));
         written.map(Some).map_err(Refusal::Store)
-    }
-
-    pub async fn get(&self, caller: &Caller, id: JobId) -> Result<Option<Job>, StoreFailure> {
-        let job = self.core().jobs.job(caller, id).await?;
-        Ok(job.map(|job| self.core().completed(job)))
-    }
-
-    /// The job that the caller gave this id.
-    pub async fn get_by_client_id(&self, caller: &Caller, client_id: &str) -> Result<Option<Job>, StoreFailure> {
-        let job = self.core().jobs.job_by_client_id(caller, client_id).await?;
-        Ok(job.map(|job| self.core().completed(job)))
-    }
-
-    /// The job as soon as it is final, or as it is after `time`.
-    pub async fn wait(&self, caller: &Caller, id: JobId, time: Duration) -> Result<Option<Job>, StoreFailure> {
-        let until = Instant::now() + time;
-        let mut news = self.core().watchers.subscribe(id);
-        loop {
-            news.mark_unchanged();
-            let Some(job) = self.get(caller, id).await? else { return Ok(None) };
-            if job.state.is_final() || Instant::now() >= until {
-                return Ok(Some(job));
-            }
-            let look_again = until.min(Instant::now() + LOOK_AGAIN);
-            // However the waiting ends, the job is looked at.
-            let _ = timeout_at(look_again, news.changed()).await;
-        }
-    }
-
-    /// The events of a job after the one numbered `after`; without it, a snapshot and what follows. `None`: there is
-    /// no such job.
-    pub async fn events(&self, caller: &Caller, id: JobId, after: Option<u64>) -> Result<Option<Events>, StoreFailure> {
-        Events::open(self.core().clone(), caller.clone(), id, after).await
-    }
-
-    /// A page of the caller's jobs, newest first.
-    pub async fn list(
-        &self,
-        caller: &Caller,
-        filter: &JobFilter,
-        page_token: Option<&str>,
-        page_size: usize,
-    ) -> Result<Page, NoPage> {
-        let before = page_token.map(|text| read_token(text, filter)).transpose()?;
-        let mut jobs = self.core().jobs.list(caller, filter, before, page_size.saturating_add(1)).await?;
-        let more = jobs.len() > page_size;
-        jobs.truncate(page_size);
-        let next_page_token = jobs.last().filter(|_| more).map(|job| token(job.id, filter));
-        let jobs = jobs.into_iter().map(|job| self.core().completed(job)).collect();
-        Ok(Page { jobs, next_page_token })
-    }
-
-    /// A waiting job ends at once; a running one is asked to. Asking twice is asking once.
-    pub async fn cancel(&self, caller: &Caller, id: JobId) -> Result<Job, Denied> {
-        match self.core().jobs.cancel(caller, id).await? {
-            Change::Done => self.core().collect_garbage().await?,
-            Change::Requested => self.core().running.stop(id, Stop::Asked),
-            Change::NotFound => return Err(Denied::NotFound),
-            Change::State(state) => return Err(Denied::State(state)),
-        }
-        self.core().watchers.tell(id);
-        self.get(caller, id).await?.ok_or(Denied::NotFound)
-    }
-
-    /// Forgets a job that does not run, with all files that only it needs.
-    pub async fn delete(&self, caller: &Caller, id: JobId) -> Result<(), Denied> {
-        match self.core().jobs.delete(caller, id).await? {
-            Change::Done | Change::Requested => {}
-            Change::NotFound => return Err(Denied::NotFound),
-            Change::State(state) => return Err(Denied::State(state)),
-        }
-        self.core().watchers.tell(id);
-        self.core().collect_garbage().await?;
-        Ok(())
     }
 
     /// For a request that makes no job: what was answered to its idempotency key before.

@@ -20,14 +20,49 @@ pub fn wish(submission: &Submission) -> [u8; 32] {
     Sha256::digest(said.to_string()).into()
 }
 
-/// Everything that decides a result, beside the files: options, networks, and the version of the program.
-pub fn recipe(options: &RigOptions, methods: &[MethodInfo]) -> [u8; 32] {
+/// Everything that decides a result, beside the files: options, networks, and the version of what runs between them.
+pub fn recipe(options: &RigOptions, methods: &[MethodInfo], engine_version: &str) -> [u8; 32] {
     let models = methods.iter().flat_map(|method| &method.models);
     let digests: Vec<_> = models.map(|model| json!([model.name, model.sha256])).collect();
     let decides = json!({
         "options": options.to_json(),
         "models": digests,
-        "version": env!("CARGO_PKG_VERSION"),
+        "engine": engine_version,
     });
     Sha256::digest(decides.to_string()).into()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::jobs::perform::{Availability, ModelInfo};
+
+    #[test]
+    fn whatever_changes_a_result_changes_the_recipe() {
+        let methods = |sha256: &str| {
+            let models = vec![ModelInfo { name: "joints".into(), sha256: sha256.into(), self_test: "passed".into() }];
+            let (name, text) = ("rignet".to_owned(), String::new());
+            let availability = Availability::Available;
+            vec![MethodInfo {
+                name,
+                title: text.clone(),
+                description: text.clone(),
+                availability,
+                licence: text,
+                models,
+                limits: vec![],
+            }]
+        };
+        let (options, other) = (RigOptions::default(), RigOptions { seed: 1, ..RigOptions::default() });
+        let usual = recipe(&options, &methods("00"), "1.0.0/1");
+        assert_eq!(recipe(&options, &methods("00"), "1.0.0/1"), usual);
+        for changed in [
+            recipe(&other, &methods("00"), "1.0.0/1"),
+            recipe(&options, &methods("01"), "1.0.0/1"),
+            recipe(&options, &methods("00"), "1.0.1/1"),
+            recipe(&options, &methods("00"), "1.0.0/2"),
+        ] {
+            assert_ne!(changed, usual);
+        }
+    }
 }

@@ -1,4 +1,4 @@
-//! What is said of a rig and of a check, in plain JSON: the `report` of `rig.json`, the `result` of a job.
+//! What is said of a rig, in plain JSON: the `report` of `rig.json`, the `result` of a job.
 //!
 //! Nothing here depends on the clock: equal requests give equal reports.
 
@@ -6,7 +6,7 @@ use super::engine::Upload;
 use super::options::RigOptions;
 use super::perform::{Availability, MethodInfo, ModelInfo};
 use crate::formats::{Finding, Limits, Severity};
-use crate::pipelines::{self, Facts, Method, Models, Quality, Rigged, Verdict, survey};
+use crate::pipelines::{self, Facts, Method, Models, Quality, Rigged, Verdict};
 use serde_json::{Map, Value, json};
 
 /// The facts of a finished rig.
@@ -88,50 +88,6 @@ fn quality(quality: &Quality, names: &[&str]) -> Value {
 /// Less than this share of a joint's weight far from it is not worth a line.
 const BLEED_TOLD: f64 = 0.005;
 
-/// What a check says.
-pub fn check(method: Method, options: &RigOptions, upload: &Upload) -> Map<String, Value> {
-    let survey = survey::survey(&upload.asset.mesh, upload.orientation.rotation());
-    let mut findings = upload.findings.clone();
-    let already_rigged =
-        upload.asset.existing_rig.is_some() && options.existing_rig == crate::formats::ExistingRigPolicy::Reject;
-    if already_rigged {
-        findings.push(Finding {
-            code: "already_rigged",
-            severity: Severity::Warning,
-            message: "the file is already rigged; a rig request would be refused".into(),
-            hint: "set existing_rig to replace to rig it anew".into(),
-        });
-    }
-    let riggable = match &survey {
-        Some(_) if already_rigged => "maybe",
-        Some(_) => "yes",
-        None => "no",
-    };
-    let existing = upload.asset.existing_rig;
-    object(json!({
-        "riggable": riggable,
-        "suggested_method": method.name(),
-        "symmetry": survey.as_ref().map(|survey| json!({"score": rounded(survey.symmetry_score)})),
-        "orientation": orientation(upload),
-        "input": input(upload),
-        "mesh": survey.as_ref().map(|survey| json!({
-            "components": survey.components,
-            "boundary_edges": survey.boundary_edges,
-            "nonmanifold_edges": survey.nonmanifold_edges,
-            "degenerate_faces": survey.degenerate_faces,
-            "height": survey.height,
-        })),
-        "existing": {
-            "skins": existing.map_or(0, |rig| rig.skins),
-            "joints": existing.map_or(0, |rig| rig.joints),
-        },
-        "estimate": survey.as_ref().map(|survey| json!({
-            "seconds": rounded(survey.seconds), "memory_mib": survey.memory_mib,
-        })),
-        "findings": findings.iter().map(finding).collect::<Vec<_>>(),
-    }))
-}
-
 /// What is worth telling about the rig besides its facts.
 pub fn findings(rigged: &Rigged) -> Vec<Finding> {
     let Facts { vertices_by_nearest_bone, joints_inside, ref joints_far_outside, .. } = rigged.facts;
@@ -139,6 +95,7 @@ pub fn findings(rigged: &Rigged) -> Vec<Finding> {
     if let Some(first) = joints_far_outside.first().and_then(|&joint| rigged.rig.skeleton.joints.get(joint)) {
         findings.push(Finding {
             code: "joints_far_outside",
+            parts: Vec::new(),
             severity: Severity::Warning,
             message: format!(
                 "{} of {} joints are nowhere near the mesh, the first is {:?}",
@@ -152,6 +109,7 @@ pub fn findings(rigged: &Rigged) -> Vec<Finding> {
     if vertices_by_nearest_bone > 0 {
         findings.push(Finding {
             code: "vertices_by_nearest_bone",
+            parts: Vec::new(),
             severity: Severity::Info,
             message: format!(
                 "{vertices_by_nearest_bone} vertices got no weights of their own and follow the nearest bone"
@@ -162,6 +120,7 @@ pub fn findings(rigged: &Rigged) -> Vec<Finding> {
     if joints_inside < JOINTS_INSIDE_USUAL {
         findings.push(Finding {
             code: "joints_outside",
+            parts: Vec::new(),
             severity: Severity::Warning,
             message: format!("only {:.0} % of the joints lie inside the mesh", joints_inside * 100.0),
             hint: "check the skeleton; another `detail` may place it better".into(),
@@ -170,6 +129,7 @@ pub fn findings(rigged: &Rigged) -> Vec<Finding> {
     if rigged.facts.quality.verdict == Verdict::Poor {
         findings.push(Finding {
             code: "poor_quality",
+            parts: Vec::new(),
             severity: Severity::Warning,
             message: format!("the rig is poor: {}", rigged.facts.quality.reasons.join("; ")),
             hint: "look at it in motion; edit the skeleton and ask for new weights".into(),
@@ -242,7 +202,8 @@ fn finding(finding: &Finding) -> Value {
         Severity::Info => "info",
         Severity::Warning => "warning",
     };
-    json!({"code": finding.code, "severity": severity, "message": finding.message, "hint": finding.hint})
+    let Finding { code, parts, message, hint, .. } = finding;
+    json!({"code": code, "severity": severity, "message": message, "hint": hint, "where": parts})
 }
 
 /// Three decimals: more would claim a precision that scores do not have.

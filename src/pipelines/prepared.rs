@@ -6,7 +6,7 @@
 //! # Departures from the paper
 //! - A symmetric character is turned about the vertical until its mirror plane is x = 0; theirs assumes that.
 
-use super::survey::normalised;
+use super::survey::{normalised, plane_in_upload};
 use super::{RigError, Subject};
 use crate::geometry::bvh::Bvh;
 use crate::geometry::surface_samples::SurfaceSamples;
@@ -57,9 +57,7 @@ impl<'a> Prepared<'a> {
 
     /// Unit normal and one point of a plane of the normalised frame, in upload space.
     pub(super) fn plane_in_upload(&self, plane: &SymmetryPlane) -> (DVec3, DVec3) {
-        let point = self.normalization.invert(plane.normal * plane.offset);
-        let beyond = self.normalization.invert(plane.normal * (plane.offset + 1.0));
-        ((beyond - point).normalize_or_zero(), point)
+        plane_in_upload(plane, &self.normalization)
     }
 }
 

@@ -1,13 +1,14 @@
-//! What can be told of a mesh without running a network: soundness, symmetry, and what rigging it will cost.
+//! What can be told of a mesh without running a network: soundness, symmetry, stance, and what rigging it will cost.
 
 use crate::geometry::bvh::Bvh;
+use crate::geometry::stance::{Stance, stance};
 use crate::geometry::surface_samples::SurfaceSamples;
-use crate::geometry::symmetry_plane::detect_symmetry_plane;
+use crate::geometry::symmetry_plane::{SymmetryPlane, detect_symmetry_plane};
 use crate::mesh::Mesh;
-use crate::mesh::adjacency::{components, edge_statistics};
+use crate::mesh::adjacency::edge_statistics;
 use crate::mesh::normalize::Normalization;
 use crate::mesh::working_mesh::WorkingMesh;
-use glam::DMat3;
+use glam::{DMat3, DVec3};
 
 /// Facts of an upload's mesh and an estimate of the work.
 #[derive(Clone, Debug, PartialEq)]
@@ -22,15 +23,18 @@ pub struct Survey {
     pub degenerate_faces: usize,
     /// Extent along the up axis, in upload units.
     pub height: f64,
-    /// How well the best vertical plane mirrors the shape, 0 to 1.
+    /// Unit normal and a point of the best vertical mirror plane, in upload space,
+    pub symmetry_plane: (DVec3, DVec3),
+    /// and how well it mirrors the shape, 0 to 1.
     pub symmetry_score: f64,
+    pub stance: Stance,
     /// Seconds of one core for a whole rig, roughly.
     pub seconds: f64,
     pub memory_mib: u64,
 }
 
-/// Enough samples to score a symmetry plane; the rig itself uses more.
-const SAMPLES: usize = 1_000;
+/// Enough samples to score a symmetry plane and to find arms; the rig itself uses more.
+const SAMPLES: usize = 2_000;
 
 /// `None` when nothing of `mesh` (upload space) has an area. `to_upright` as in [`super::Subject`].
 pub fn survey(mesh: &Mesh, to_upright: DMat3) -> Option<Survey> {
@@ -39,16 +43,18 @@ pub fn survey(mesh: &Mesh, to_upright: DMat3) -> Option<Survey> {
     let working = WorkingMesh::new(&normalised).ok()?;
     let (low, high) = normalised.bounding_box()?;
     let edges = edge_statistics(&working.welded.mesh);
-    let surface = Bvh::new(&working.mesh);
-    let symmetry = detect_symmetry_plane(&SurfaceSamples::new(&working.mesh, SAMPLES), &surface);
+    let samples = SurfaceSamples::new(&working.mesh, SAMPLES);
+    let symmetry = detect_symmetry_plane(&samples, &Bvh::new(&working.mesh));
     let (seconds, memory_mib) = estimate(working.mesh.positions.len(), mesh.triangles.len());
     Some(Survey {
-        components: components(&working.welded.mesh).count,
+        components: working.component_of_welded.iter().max().map_or(0, |&last| last as usize + 1),
         boundary_edges: edges.boundary,
         nonmanifold_edges: edges.non_manifold,
         degenerate_faces: mesh.triangles.len() - working.welded.mesh.triangles.len(),
         height: (high.y - low.y) / normalization.scale,
+        symmetry_plane: plane_in_upload(&symmetry, &normalization),
         symmetry_score: symmetry.score,
+        stance: stance(&working.mesh, &samples, &symmetry),
         seconds,
         memory_mib,
     })
@@ -60,6 +66,13 @@ pub fn normalised(mesh: &Mesh, normalization: &Normalization) -> Mesh {
         positions: mesh.positions.iter().map(|&position| normalization.apply(position)).collect(),
         triangles: mesh.triangles.clone(),
     }
+}
+
+/// Unit normal and one point of a plane of the normalised frame, in upload space.
+pub(super) fn plane_in_upload(plane: &SymmetryPlane, normalization: &Normalization) -> (DVec3, DVec3) {
+    let point = normalization.invert(plane.normal * plane.offset);
+    let beyond = normalization.invert(plane.normal * (plane.offset + 1.0));
+    ((beyond - point).normalize_or_zero(), point)
 }
 
 /// CPU-seconds and MiB of one job: a fit to the table of `docs/performance.md`.

@@ -6,8 +6,9 @@
 //! id = "key_5d41402a"
 //! sha256 = "9f86d081884c7d65…"
 //! created_at = "2026-11-24T15:20:07Z"
-//! requests_per_minute = 1200         # optional, as is
+//! requests_per_minute = 1200         # optional, as are
 //! jobs = 16
+//! upload_mib_per_hour = 51200
 //! ```
 
 use super::http::timestamp::rfc3339;
@@ -25,6 +26,7 @@ use subtle::ConstantTimeEq;
 const SECRET_PREFIX: &str = "rsk_";
 const SECRET_BYTES: usize = 32;
 const CALLER_CHARACTERS_MAX: usize = 64;
+const MIB: u64 = 1 << 20;
 
 /// What one key may do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -32,6 +34,26 @@ pub struct Quota {
     pub requests_per_minute: u32,
     /// Unfinished jobs of the caller.
     pub jobs: u32,
+    pub upload_bytes_per_hour: u64,
+}
+
+/// What the line of a key says of its quota; the rest is as for every key.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct OwnQuota {
+    pub requests_per_minute: Option<u32>,
+    pub jobs: Option<u32>,
+    pub upload_mib_per_hour: Option<u64>,
+}
+
+impl OwnQuota {
+    fn over(self, quota: Quota) -> Quota {
+        let bytes = self.upload_mib_per_hour.map(|mib| mib.saturating_mul(MIB));
+        Quota {
+            requests_per_minute: self.requests_per_minute.unwrap_or(quota.requests_per_minute).max(1),
+            jobs: self.jobs.unwrap_or(quota.jobs),
+            upload_bytes_per_hour: bytes.unwrap_or(quota.upload_bytes_per_hour).max(1),
+        }
+    }
 }
 
 /// A key that may call.
@@ -55,6 +77,15 @@ pub struct Entry {
     pub requests_per_minute: Option<u32>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub jobs: Option<u32>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub upload_mib_per_hour: Option<u64>,
+}
+
+impl Entry {
+    pub fn quota(&self) -> OwnQuota {
+        let Self { requests_per_minute, jobs, upload_mib_per_hour, .. } = *self;
+        OwnQuota { requests_per_minute, jobs, upload_mib_per_hour }
+    }
 }
 
 #[derive(Debug, Default, Serialize, Deserialize)]
@@ -109,6 +140,12 @@ impl Keys {
         loaded.keys.iter().fold(None, |found, key| if same(&key) { Some(key.clone()) } else { found })
     }
 
+    /// The key with this id, while it is in force.
+    pub fn by_id(&self, id: &str) -> Option<Arc<Key>> {
+        let loaded = self.0.loaded.read().unwrap_or_else(PoisonError::into_inner);
+        loaded.keys.iter().find(|key| key.id == id).cloned()
+    }
+
     pub fn is_empty(&self) -> bool {
         self.0.loaded.read().unwrap_or_else(PoisonError::into_inner).keys.is_empty()
     }
@@ -142,11 +179,8 @@ fn load(path: &Path, quota: Quota) -> Result<Loaded, KeysError> {
             path: path.to_owned(),
             reason: format!("the sha256 of {} is not 64 hexadecimal digits", entry.id),
         })?;
-        let quota = Quota {
-            requests_per_minute: entry.requests_per_minute.unwrap_or(quota.requests_per_minute).max(1),
-            jobs: entry.jobs.unwrap_or(quota.jobs),
-        };
         check_caller(&entry.caller)?;
+        let quota = entry.quota().over(quota);
         Ok(Arc::new(Key { id: entry.id, caller: entry.caller, quota, sha256 }))
     });
     Ok(Loaded { keys: keys.collect::<Result<_, KeysError>>()?, modified })
@@ -164,12 +198,7 @@ pub fn entries(path: &Path) -> Result<Vec<Entry>, KeysError> {
 
 /// Makes a key and adds its digest to the file, which is made when it is missing. The secret is told here and never
 /// again.
-pub fn add(
-    path: &Path,
-    caller: &str,
-    requests_per_minute: Option<u32>,
-    jobs: Option<u32>,
-) -> Result<String, KeysError> {
+pub fn add(path: &Path, caller: &str, quota: OwnQuota) -> Result<String, KeysError> {
     check_caller(caller)?;
     let mut listed = match entries(path) {
         Err(KeysError::Io { source, .. }) if source.kind() == io::ErrorKind::NotFound => Vec::new(),
@@ -184,8 +213,9 @@ pub fn add(
         id: format!("key_{}", &sha256[..12]),
         sha256,
         created_at: Some(rfc3339(SystemTime::now())),
-        requests_per_minute,
-        jobs,
+        requests_per_minute: quota.requests_per_minute,
+        jobs: quota.jobs,
+        upload_mib_per_hour: quota.upload_mib_per_hour,
     });
     write(path, listed)?;
     Ok(secret)
@@ -249,20 +279,25 @@ pub fn test_key(id: &str, quota: Quota) -> Key {
 mod tests {
     use super::*;
 
-    const QUOTA: Quota = Quota { requests_per_minute: 600, jobs: 4 };
+    const QUOTA: Quota = Quota { requests_per_minute: 600, jobs: 4, upload_bytes_per_hour: 1 << 30 };
 
     #[test]
     fn a_key_is_known_by_its_secret_and_the_file_holds_only_its_digest() {
         let folder = tempfile::tempdir().expect("folder");
         let path = folder.path().join("keys.toml");
-        let secret = add(&path, "studio", None, Some(9)).expect("made");
-        let other = add(&path, "farm", Some(10), None).expect("made");
+        let secret = add(&path, "studio", OwnQuota { jobs: Some(9), ..OwnQuota::default() }).expect("made");
+        let other =
+            add(&path, "farm", OwnQuota { requests_per_minute: Some(10), upload_mib_per_hour: Some(3), jobs: None })
+                .expect("made");
         let text = fs::read_to_string(&path).expect("reads");
         assert!(!text.contains(&secret) && !text.contains(&secret[4..]), "{text}");
         let keys = Keys::open(&path, QUOTA).expect("opens");
         let key = keys.find(&secret).expect("known");
-        assert_eq!((key.caller.as_str(), key.quota), ("studio", Quota { requests_per_minute: 600, jobs: 9 }));
-        assert_eq!(keys.find(&other).map(|key| key.quota), Some(Quota { requests_per_minute: 10, jobs: 4 }));
+        assert_eq!((key.caller.as_str(), key.quota), ("studio", Quota { jobs: 9, ..QUOTA }));
+        assert_eq!(
+            keys.find(&other).map(|key| key.quota),
+            Some(Quota { requests_per_minute: 10, jobs: 4, upload_bytes_per_hour: 3 * MIB })
+        );
         assert_eq!(keys.find(&secret[..secret.len() - 1]), None);
         assert_eq!(keys.find(""), None);
     }
@@ -271,7 +306,7 @@ mod tests {
     fn a_removed_key_is_forgotten_when_the_file_is_read_again_and_a_broken_file_changes_nothing() {
         let folder = tempfile::tempdir().expect("folder");
         let path = folder.path().join("keys.toml");
-        let secret = add(&path, "studio", None, None).expect("made");
+        let secret = add(&path, "studio", OwnQuota::default()).expect("made");
         let keys = Keys::open(&path, QUOTA).expect("opens");
         let touch = |seconds| {
             let file = fs::File::options().write(true).open(&path).expect("opens");
@@ -291,7 +326,7 @@ mod tests {
     fn callers_have_plain_names() {
         let folder = tempfile::tempdir().expect("folder");
         for name in ["", "two words", "a/b", &"x".repeat(65)] {
-            assert!(add(&folder.path().join("keys.toml"), name, None, None).is_err(), "{name:?}");
+            assert!(add(&folder.path().join("keys.toml"), name, OwnQuota::default()).is_err(), "{name:?}");
         }
     }
 }

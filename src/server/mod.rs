@@ -6,12 +6,14 @@ pub mod keys;
 mod metrics;
 mod quota;
 mod run;
+mod tickets;
 
 pub use connections::ConnectionLimits;
 pub use run::{ServeError, run, serve, stop_signal};
 
-use self::keys::Keys;
+use self::keys::{Keys, KeysError};
 use self::quota::Buckets;
+use self::tickets::Tickets;
 use crate::jobs::Jobs;
 use axum::Router;
 use std::sync::Arc;
@@ -25,10 +27,17 @@ pub struct App {
     pub limits: Limits,
     uploads: Arc<Semaphore>,
     /// `None`: everybody may ask.
-    keys: Option<Keys>,
-    buckets: Arc<Buckets>,
+    guard: Option<Guard>,
     /// `true` once the service stops: streams without an end end then.
     closing: Arc<watch::Sender<bool>>,
+}
+
+/// What tells callers apart, and how much each may ask for.
+#[derive(Clone)]
+struct Guard {
+    keys: Keys,
+    buckets: Arc<Buckets>,
+    tickets: Arc<Tickets>,
 }
 
 /// Limits of the door.
@@ -63,13 +72,14 @@ impl Default for Limits {
 impl App {
     pub fn new(jobs: Jobs, limits: Limits) -> Self {
         let uploads = Arc::new(Semaphore::new(limits.uploads_max));
-        Self { jobs, limits, uploads, keys: None, buckets: Arc::default(), closing: Arc::default() }
+        Self { jobs, limits, uploads, guard: None, closing: Arc::default() }
     }
 
     /// Only callers who send one of `keys` may ask.
-    pub fn with_keys(mut self, keys: Keys) -> Self {
-        self.keys = Some(keys);
-        self
+    pub fn with_keys(mut self, keys: Keys) -> Result<Self, KeysError> {
+        let tickets = Tickets::new().map_err(|error| KeysError::Random(error.to_string()))?;
+        self.guard = Some(Guard { keys, buckets: Arc::default(), tickets: Arc::new(tickets) });
+        Ok(self)
     }
 }
 

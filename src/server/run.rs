@@ -78,7 +78,7 @@ pub async fn serve(
     let jobs = Jobs::start(rigger, store, settings)?;
     let mut app = App::new(jobs.clone(), limits(config));
     if let Some(keys) = keys {
-        app = app.with_keys(keys);
+        app = app.with_keys(keys)?;
     }
     let background = background(config, &app).await?;
     listening(listener.local_addr()?);
@@ -99,7 +99,11 @@ fn workers(asked: usize) -> usize {
 
 /// Reads the keys, or makes sure that none are needed.
 fn keys(config: &ServeConfig) -> Result<Option<Keys>, ServeError> {
-    let quota = Quota { requests_per_minute: config.key_requests_per_minute, jobs: config.key_jobs };
+    let quota = Quota {
+        requests_per_minute: config.key_requests_per_minute,
+        jobs: config.key_jobs,
+        upload_bytes_per_hour: config.key_upload_mib_per_hour.saturating_mul(MIB),
+    };
     match &config.keys {
         Some(path) => {
             let keys = Keys::open(path, quota)?;
@@ -143,7 +147,7 @@ async fn background(config: &ServeConfig, app: &App) -> Result<Vec<JoinHandle<()
         tracing::info!(%address, "metrics are at http://{address}/metrics");
         tasks.push(tokio::spawn(connections::serve(listener, router, limits, std::future::pending(), LAST_WAIT)));
     }
-    if let Some(keys) = app.keys.clone() {
+    if let Some(keys) = app.guard.as_ref().map(|guard| guard.keys.clone()) {
         tasks.push(tokio::spawn(async move {
             loop {
                 tokio::time::sleep(KEYS_REFRESH).await;

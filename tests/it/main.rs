@@ -15,4 +15,5 @@ mod metamorphic;
 mod operation;
 mod pipeline;
 mod program;
+mod revision;
 mod skin;

@@ -305,3 +305,29 @@ fn serving_others_without_keys_is_refused_unless_it_is_said() {
     let empty = rigsmith(folder.path(), &["serve", "--listen", "0.0.0.0:0", "--keys", "keys.toml"]);
     assert_eq!(empty.status.code(), Some(2), "{}", stderr(&empty));
 }
+
+#[test]
+fn a_check_tells_what_stands_there_and_the_rig_is_told_the_same() {
+    let folder = tempfile::tempdir().expect("folder");
+    let sample = sample();
+    let path = sample.to_str().expect("path");
+    let output = rigsmith(folder.path(), &["check", path, "--json"]);
+    succeeded(&output);
+    let check: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    assert_eq!((&check["riggable"], &check["category"]), (&"yes".into(), &"biped".into()), "{check:#}");
+    assert!(check["category_confidence"].as_f64().is_some_and(|share| share > 0.5), "{check:#}");
+    assert!(["t", "a"].contains(&check["pose"].as_str().expect("a pose")), "{check:#}");
+    let normal: Vec<f64> = serde_json::from_value(check["symmetry"]["plane"]["normal"].clone()).expect("a normal");
+    assert!(normal[0] > 0.99 && check["symmetry"]["score"].as_f64().is_some_and(|score| score > 0.75), "{check:#}");
+    for count in ["vertices", "faces", "meshes", "primitives", "components"] {
+        assert!(check["mesh"][count].as_u64().is_some_and(|count| count > 0), "{count}: {check:#}");
+    }
+    for count in ["skins", "joints", "animations", "morph_targets"] {
+        assert!(check["existing"][count].is_u64(), "{count}: {check:#}");
+    }
+    succeeded(&rigsmith(folder.path(), &["rig", path, "-o", "out.rig.json", "--report", "report.json"]));
+    let report = std::fs::read(folder.path().join("report.json")).expect("a report");
+    let report: Value = serde_json::from_slice(&report).expect("JSON");
+    let (found, told) = (check["findings"].as_array().expect("a list"), report["findings"].as_array().expect("a list"));
+    assert!(told.starts_with(found), "{told:#?} does not begin with {found:#?}");
+}

@@ -9,7 +9,7 @@ use rigsmith::pipelines::{RigOptions, Rigged, SkinMethod, Subject, Watch, skin};
 use rigsmith::rig::{Joint, Skeleton};
 use serde_json::{Value, json};
 
-fn weighed(mesh: &Mesh, skeleton: &Skeleton, skin_method: SkinMethod) -> Rigged {
+pub fn weighed(mesh: &Mesh, skeleton: &Skeleton, skin_method: SkinMethod) -> Rigged {
     let cancellation = Cancellation::default();
     let watch = Watch { cancellation: &cancellation, on_stage: &|_| {} };
     let options = RigOptions { skin_method, ..RigOptions::default() };
@@ -18,7 +18,7 @@ fn weighed(mesh: &Mesh, skeleton: &Skeleton, skin_method: SkinMethod) -> Rigged 
 }
 
 /// A chain of joints through these places.
-fn chain(places: &[DVec3]) -> Skeleton {
+pub fn chain(places: &[DVec3]) -> Skeleton {
     let joint = |(index, &position): (usize, &DVec3)| Joint {
         name: format!("joint {index}"),
         parent: index.checked_sub(1),

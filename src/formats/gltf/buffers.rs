@@ -238,6 +238,7 @@ fn forget_images(json: &mut Value, missing: &[usize]) -> Vec<Finding> {
     }
     vec![Finding {
         code: "missing_texture",
+        parts: Vec::new(),
         severity: Severity::Warning,
         message: format!("{} texture(s) were not sent and are left out: {}", names.len(), names.join(", ")),
         hint: "send the textures along, or everything in one zip".into(),

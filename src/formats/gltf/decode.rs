@@ -10,10 +10,10 @@ use super::json::{items, malformed, member_reference, parse};
 use super::node_graph::{NodeGraph, check_count};
 use super::references::{Kind, UsedBefore, remove_all};
 use super::{Document, SkinnedPrimitive, animations, container, document, flatten, meshopt, triangles};
-use crate::formats::soundness::{self, check_counts};
+use crate::formats::soundness::check_counts;
 use crate::formats::{
-    Asset, Axes, Axis, DecodeError, DecodeOptions, ExistingRig, ExistingRigPolicy, Finding, Format, Limits, Part,
-    Severity, Siblings, Source,
+    Asset, Axes, Axis, Contents, DecodeError, DecodeOptions, ExistingRig, ExistingRigPolicy, Finding, Format, Limits,
+    Part, Severity, Siblings, Source,
 };
 use crate::mesh::Mesh;
 use glam::{DMat4, DVec3};
@@ -50,11 +50,11 @@ pub fn decode(
 
     let format = if container::is_glb(bytes) { Format::Glb } else { Format::Gltf };
     let (mesh, parts, skinned) = read_mesh(&mut json, &mut binary, limits, &prepared.placed)?;
-    findings.extend(soundness::check(&mesh, limits)?);
     let document = Document { json, binary, other_chunks, skinned, scenes: prepared.scenes };
     let axes = Some(Axes { up: Axis::PosY, front: Axis::PosZ });
     let source = Source::Gltf(Box::new(document));
-    Ok(Asset { format, mesh, parts, axes, existing_rig: prepared.existing_rig, findings, source })
+    let Prepared { contents, existing_rig, .. } = prepared;
+    Ok(Asset { format, mesh, parts, axes, contents, existing_rig, findings, source })
 }
 
 fn check_list_lengths(json: &Value, limits: &Limits) -> Result<(), DecodeError> {
@@ -75,6 +75,7 @@ struct Placed {
 struct Prepared {
     placed: Vec<Placed>,
     scenes: Vec<usize>,
+    contents: Contents,
     existing_rig: Option<ExistingRig>,
     findings: Vec<Finding>,
 }
@@ -94,6 +95,7 @@ fn prepare(
     }
     let shown = shown_meshes(json, &graph)?;
     check_declared(json, binary, limits, &shown)?;
+    let contents = contents(json, &shown);
     let mut findings = Vec::new();
     tell_of_what_is_not_rigged(json, &graph, &shown, &mut findings);
 
@@ -129,7 +131,7 @@ fn prepare(
         findings.extend(remove_old_joints(json, &graph, rig, &mut placed));
     }
     flatten::make_scene_if_none(json);
-    Ok(Prepared { placed, scenes: scenes.into_iter().collect(), existing_rig, findings })
+    Ok(Prepared { placed, scenes: scenes.into_iter().collect(), contents, existing_rig, findings })
 }
 
 /// Nodes of the shown scene whose mesh has triangles, with that mesh.
@@ -155,6 +157,21 @@ fn shown_meshes(json: &Value, graph: &NodeGraph) -> Result<Vec<(usize, usize)>, 
         }
     }
     Ok(shown)
+}
+
+/// What the file holds before it is made ready.
+fn contents(json: &Value, shown: &[(usize, usize)]) -> Contents {
+    let meshes: BTreeSet<usize> = shown.iter().map(|&(_, mesh)| mesh).collect();
+    // All primitives of a mesh have the same targets.
+    let targets = |&mesh: &usize| {
+        let primitives = items(&items(json, "meshes")[mesh], "primitives");
+        primitives.iter().map(|primitive| items(primitive, "targets").len()).max().unwrap_or(0)
+    };
+    Contents {
+        meshes: meshes.len(),
+        animations: items(json, "animations").len(),
+        morph_targets: meshes.iter().map(targets).sum(),
+    }
 }
 
 /// Adds up what the accessors declare for all placed meshes, before any of it is read.
@@ -196,6 +213,7 @@ fn tell_of_what_is_not_rigged(json: &Value, graph: &NodeGraph, shown: &[(usize, 
     if hidden > 0 {
         findings.push(Finding {
             code: "meshes_not_shown",
+            parts: Vec::new(),
             severity: Severity::Info,
             message: format!("{hidden} mesh node(s) are not in the scene that is shown; they are kept, not rigged"),
             hint: "put them into the default scene to rig them".into(),
@@ -206,6 +224,7 @@ fn tell_of_what_is_not_rigged(json: &Value, graph: &NodeGraph, shown: &[(usize, 
     if thin > 0 {
         findings.push(Finding {
             code: "points_or_lines",
+            parts: Vec::new(),
             severity: Severity::Info,
             message: format!("{thin} primitive(s) are points or lines; they follow the skeleton, but do not shape it"),
             hint: String::new(),
@@ -223,6 +242,7 @@ fn tell_of_changes(
     if copies > 0 {
         findings.push(Finding {
             code: "instances_duplicated",
+            parts: Vec::new(),
             severity: Severity::Info,
             message: format!("{copies} node(s) shared a mesh with another and got a copy of their own"),
             hint: String::new(),
@@ -234,6 +254,7 @@ fn tell_of_changes(
     if moved > 0 {
         findings.push(Finding {
             code: "transforms_applied",
+            parts: Vec::new(),
             severity: Severity::Info,
             message: format!("{moved} mesh node(s) had a transform, which is in their vertices now"),
             hint: String::new(),
@@ -261,7 +282,13 @@ fn remove_old_joints(json: &mut Value, graph: &NodeGraph, rig: &OldRig, placed: 
     } else {
         message += "; its nodes stay, because an extension may refer to them";
     }
-    vec![Finding { code: "existing_rig_replaced", severity: Severity::Warning, message, hint: String::new() }]
+    vec![Finding {
+        code: "existing_rig_replaced",
+        parts: Vec::new(),
+        severity: Severity::Warning,
+        message,
+        hint: String::new(),
+    }]
 }
 
 fn remove_nodes(json: &mut Value, removable: &BTreeSet<usize>) {
@@ -289,6 +316,7 @@ fn compression_leaves(json: &mut Value, findings: &mut Vec<Finding>) {
     if !names.is_empty() {
         findings.push(Finding {
             code: "geometry_decompressed",
+            parts: Vec::new(),
             severity: Severity::Info,
             message: format!("the geometry was written without {}", names.join(" and ")),
             hint: "compress the result again if its size matters".into(),

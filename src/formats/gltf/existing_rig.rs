@@ -206,6 +206,7 @@ pub(super) fn strip(json: &mut Value) -> Vec<Finding> {
     }
     vec![Finding {
         code: "skeleton_description_removed",
+        parts: Vec::new(),
         severity: Severity::Warning,
         message: format!("{} described the old skeleton and went with it", described.join(", ")),
         hint: String::new(),

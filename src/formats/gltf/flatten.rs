@@ -175,6 +175,7 @@ fn follow_up_animations(
     if dropped > 0 {
         findings.push(Finding {
             code: "animation_dropped",
+            parts: Vec::new(),
             severity: Severity::Warning,
             message: format!("{dropped} animation channel(s) moved a mesh as a whole and were dropped"),
             hint: "animate the skeleton's root joint instead".into(),
@@ -194,6 +195,7 @@ fn follow_up_animations(
     if !names.is_empty() {
         findings.push(Finding {
             code: "animation_no_longer_moves_mesh",
+            parts: Vec::new(),
             severity: Severity::Warning,
             message: format!("meshes no longer follow the animated node(s) {}", names.join(", ")),
             hint: "animate the skeleton instead".into(),

@@ -95,13 +95,15 @@ fn notice(notice: &Notice) -> Value {
         Severity::Info => "info",
         Severity::Warning => "warning",
     };
-    json!({"code": notice.code, "severity": severity, "message": notice.message, "hint": notice.hint})
+    let Notice { code, parts, message, hint, .. } = notice;
+    json!({"code": code, "parts": parts, "severity": severity, "message": message, "hint": hint})
 }
 
 fn notice_from(value: &Value) -> Notice {
     let severity = if text(value, "severity") == "info" { Severity::Info } else { Severity::Warning };
     let owned = |field| text(value, field).to_owned();
-    Notice { code: owned("code"), severity, message: owned("message"), hint: owned("hint") }
+    let parts = list(value, "parts").filter_map(|part| part.as_str().map(str::to_owned)).collect();
+    Notice { code: owned("code"), parts, severity, message: owned("message"), hint: owned("hint") }
 }
 
 fn artifact(artifact: &ArtifactInfo) -> Value {
@@ -218,7 +220,13 @@ mod tests {
         let failed = JobError { limit: Some(limit), ..JobError::new(ErrorCode::TooManyFaces, "too many") };
         let failed = failed.at(Stage::Ingest).hint("fewer");
         assert_eq!(error_from(&error(&failed)), failed);
-        let warning = Notice { code: "x".into(), severity: Severity::Info, message: "m".into(), hint: String::new() };
+        let warning = Notice {
+            code: "x".into(),
+            parts: vec!["Hair".into()],
+            severity: Severity::Info,
+            message: "m".into(),
+            hint: String::new(),
+        };
         let made = ArtifactInfo { name: "a.glb".into(), media_type: "m/t".into(), bytes: 3, sha256: [7; 32] };
         let outcome = JobResult {
             method_used: "rignet".into(),

@@ -2,18 +2,19 @@
 
 use super::App;
 use super::artifacts::{FileBytes, serve_file};
+use super::asset_views::AssetView;
 use super::authenticate::Identity;
 use super::error::{ApiError, Code};
 use super::idempotency::{self, Turn};
 use super::negotiate::query;
 use super::receive;
 use super::segments::Segments;
-use super::views::AssetView;
-use crate::jobs::{ArtifactInfo, Asset, Received, asset_sha256};
+use crate::jobs::{ArtifactInfo, Asset, Check, JobError, Received, Refusal, asset_sha256};
 use axum::Json;
 use axum::extract::{Request, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
+use std::sync::Arc;
 use utoipa::ToSchema;
 
 /// A form with a mesh and what belongs to it.
@@ -29,8 +30,8 @@ pub struct AssetFormView {
 /// Keep a mesh.
 ///
 /// Send the mesh as the body, in a form together with the files it refers to, or all in a zip archive. The same files
-/// are the same asset: `201` the first time, `200` after that. `POST /v1/rigs:check` with the asset's id says what
-/// would be rigged.
+/// are the same asset: `201` the first time, `200` after that. The answer tells what they hold; what cannot be read as a mesh
+/// is refused. `POST /v1/rigs:check` with the asset's id says what would be rigged.
 #[utoipa::path(
     post, path = "/v1/assets", tag = "assets",
     params(
@@ -65,7 +66,8 @@ async fn keep(app: &App, identity: &Identity, received: Received, key: Option<St
     let said = asset_sha256(&received.files());
     if let Turn::Again(id) = idempotency::turn(app, caller, &key, &[b"POST /v1/assets", &said]).await? {
         let asset = find(app, identity, &String::from_utf8_lossy(&id)).await?;
-        let mut response = asset_response(&asset, StatusCode::OK)?;
+        let check = looked_at(app, &asset).await?;
+        let mut response = asset_response(&asset, check.as_deref(), StatusCode::OK)?;
         idempotency::note_replay(&mut response);
         return Ok(response);
     }
@@ -79,11 +81,11 @@ async fn keep(app: &App, identity: &Identity, received: Received, key: Option<St
 async fn put(app: &App, identity: &Identity, received: Received) -> Result<(Response, String), ApiError> {
     let put = app.jobs.put_asset(&identity.caller, received).await?;
     let status = if put.created { StatusCode::CREATED } else { StatusCode::OK };
-    Ok((asset_response(&put.asset, status)?, put.asset.id.to_string()))
+    Ok((asset_response(&put.asset, Ok(&put.check), status)?, put.asset.id.to_string()))
 }
 
-fn asset_response(asset: &Asset, status: StatusCode) -> Result<Response, ApiError> {
-    let view = AssetView::from(asset);
+fn asset_response(asset: &Asset, check: Result<&Check, &JobError>, status: StatusCode) -> Result<Response, ApiError> {
+    let view = AssetView::new(asset, check);
     let location = HeaderValue::from_str(&view.links.this).map_err(|error| ApiError::internal(&error))?;
     Ok((status, [(header::LOCATION, location)], Json(view)).into_response())
 }
@@ -91,6 +93,15 @@ fn asset_response(asset: &Asset, status: StatusCode) -> Result<Response, ApiErro
 async fn find(app: &App, identity: &Identity, id: &str) -> Result<Asset, ApiError> {
     let asset = app.jobs.asset(&identity.caller, receive::asset_id(id)?).await?;
     asset.ok_or_else(missing)
+}
+
+/// What the asset holds. The files of a rig request are an asset too, although nobody has read them yet: they may be unreadable.
+async fn looked_at(app: &App, asset: &Asset) -> Result<Result<Arc<Check>, JobError>, ApiError> {
+    match app.jobs.check_asset(asset).await {
+        Ok(check) => Ok(Ok(check)),
+        Err(Refusal::Check(error)) => Ok(Err(error)),
+        Err(refusal) => Err(refusal.into()),
+    }
 }
 
 fn missing() -> ApiError {
@@ -111,7 +122,9 @@ pub async fn get_asset(
     uri: Uri,
 ) -> Result<Json<AssetView>, ApiError> {
     query(&uri, &[])?;
-    find(&app, &identity, &id).await.map(|asset| Json((&asset).into()))
+    let asset = find(&app, &identity, &id).await?;
+    let check = looked_at(&app, &asset).await?;
+    Ok(Json(AssetView::new(&asset, check.as_deref())))
 }
 
 /// Delete an asset.

@@ -3,6 +3,7 @@
 use super::App;
 use super::artifacts::{self, FileBytes};
 use super::authenticate::Identity;
+use super::check_views::CheckView;
 use super::error::{ApiError, Code};
 use super::idempotency;
 use super::negotiate::{self, Answer, WAIT_MAX};
@@ -17,7 +18,6 @@ use axum::Json;
 use axum::extract::{Request, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
-use serde_json::{Map, Value};
 use utoipa::ToSchema;
 
 /// A form with the mesh and what belongs to it.
@@ -29,6 +29,7 @@ pub struct FormView {
     pub file: FileBytes,
     /// Options as one JSON object. Each option may be a field of its own instead. Every further part with a file name
     /// is a file that the mesh refers to (buffers, materials, textures), under the name that the mesh uses.
+    #[schema(required = false)]
     pub options: OptionsView,
 }
 
@@ -200,7 +201,7 @@ async fn rigged_file(app: &App, job: &Job) -> Response {
         (CreateView = "application/json"),
     )),
     responses(
-        (status = 200, description = "What would be rigged", body = Object, example = json!({"object": "check", "riggable": "yes", "findings": []})),
+        (status = 200, description = "What would be rigged", body = CheckView),
     ),
     extensions(("x-curl" = json!("curl -F file=@hero.obj $HOST/v1/rigs:check"))),
 )]
@@ -208,9 +209,8 @@ pub async fn check_rig(
     State(app): State<App>,
     identity: Identity,
     request: Request,
-) -> Result<Json<Map<String, Value>>, ApiError> {
+) -> Result<Json<CheckView>, ApiError> {
     let receive::Order { source, wishes } = receive::order(&app, request, false).await?;
-    let mut checked = Map::from_iter([("object".to_owned(), "check".into())]);
-    checked.extend(app.jobs.check(&identity.caller, source, wishes.options).await?);
-    Ok(Json(checked))
+    let check = app.jobs.check(&identity.caller, source, wishes.options).await?;
+    Ok(Json(CheckView::from(&check)))
 }

@@ -1,7 +1,7 @@
 //! What happens to a job, as it happens: server-sent events (HTML Living Standard, section 9.2).
 
 use super::App;
-use super::authenticate::Identity;
+use super::authenticate::{Identity, TICKET};
 use super::error::ApiError;
 use super::negotiate::{query, text_header};
 use super::outermost::AboutJob;
@@ -56,12 +56,13 @@ pub struct EventView {
 /// Server-sent events, each with a rising `id`: `snapshot` (the job as it is) first, then `state`, `progress` (at most
 /// four a second), `warning`, `artifact`, and `done`, after which the stream ends. `Last-Event-ID` takes up where an
 /// earlier connection stopped; when nothing more will come, the answer is `204`, which tells browsers not to ask again.
-/// A comment every 15 s keeps the connection open.
+/// A comment every 15 s keeps the connection open. A browser's `EventSource` shows a ticket in place of a key.
 #[utoipa::path(
     get, path = "/v1/rigs/{id}/events", tag = "rigs",
     params(
         ("id" = String, Path, description = "Id of the rig", example = "rig_01jdf5fj63fh5ra1njpy75fmyg"),
         ("Last-Event-ID" = Option<String>, Header, description = "The `id` of the event received last", example = "7"),
+        ("ticket" = Option<String>, Query, description = "In place of a key, from `POST /v1/rigs/{id}:ticket`"),
     ),
     responses(
         (status = 200, description = "Events to the end of the job", content_type = "text/event-stream", body = EventView),
@@ -76,7 +77,8 @@ pub async fn rig_events(
     uri: Uri,
     headers: HeaderMap,
 ) -> Result<Response, ApiError> {
-    query(&uri, &[])?;
+    // Who asks is found out before this; here the ticket is only no unknown field.
+    query(&uri, &[TICKET])?;
     let after = text_header(&headers, &LAST_EVENT_ID)?.map(str::trim).filter(|id| !id.is_empty());
     let after = after.map(|id| {
         id.parse::<u64>().map_err(|_| ApiError::field("Last-Event-ID", format!("{id:?} is not an id of these events")))

@@ -1,8 +1,11 @@
 //! The REST interface. A handler extracts, calls [`crate::jobs`], and answers.
 
 pub mod artifacts;
+pub mod asset_views;
 pub mod assets;
 pub mod authenticate;
+pub mod check_views;
+pub mod codes;
 pub mod create;
 pub mod error;
 pub mod events;
@@ -17,10 +20,12 @@ pub mod rigs;
 mod segments;
 pub mod service;
 mod sink;
+pub mod tickets;
 pub(super) mod timestamp;
 pub mod verbs;
 pub mod views;
 pub mod wishes;
+mod words;
 
 use self::error::{ApiError, Code};
 use super::App;

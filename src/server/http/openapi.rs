@@ -1,8 +1,9 @@
 //! The description of the interface, for machines at `/v1/openapi.json` and for people at `/docs`.
 
+use super::authenticate::TICKET;
 use super::error::{Code, ProblemView};
 use super::request_views::RequestView;
-use super::{artifacts, assets, create, events, rigs, service, verbs};
+use super::{artifacts, assets, create, events, rigs, service, tickets, verbs};
 use crate::jobs::ErrorCode;
 use axum::Json;
 use axum::http::header;
@@ -29,7 +30,7 @@ use utoipa::OpenApi;
     paths(
         create::create_rig, create::put_rig, create::check_rig,
         rigs::get_rig, rigs::list_rigs, rigs::delete_rig, events::rig_events,
-        verbs::cancel_rig, verbs::export_rig, verbs::reskin_rig,
+        verbs::cancel_rig, verbs::export_rig, verbs::reskin_rig, tickets::ticket_rig,
         assets::create_asset, assets::get_asset, assets::delete_asset, assets::get_asset_content,
         artifacts::list_artifacts, artifacts::get_artifact,
         service::list_methods, service::list_problems, service::get_problem,
@@ -84,7 +85,9 @@ const READING: &[Code] = &[
     Code::Work(ErrorCode::AlreadyRigged),
     Code::Work(ErrorCode::NotRiggable),
 ];
-/// Refusals of what is written again,
+/// Refusals of what is sent and read without a job,
+const SENDING: &[Code] = &[Code::QuotaExceeded, Code::Work(ErrorCode::OutOfMemory)];
+/// of what is written again,
 const EXPORTING: &[Code] = &[
     Code::UploadIncomplete,
     Code::UploadTimeout,
@@ -112,18 +115,34 @@ const GUARDED: &[Code] =
 const PROBLEMS: &[(&str, &[&[Code]])] = &[
     ("create_rig", &[GUARDED, UPLOADING, WORKING, CREATING, READING]),
     ("put_rig", &[GUARDED, UPLOADING, WORKING, CREATING, READING]),
-    ("check_rig", &[GUARDED, UPLOADING, WORKING, READING]),
+    ("check_rig", &[GUARDED, UPLOADING, WORKING, READING, SENDING]),
     ("get_rig", &[GUARDED, ASKING, &[Code::NotFound]]),
     ("list_rigs", &[GUARDED, ASKING]),
     ("cancel_rig", &[GUARDED, ASKING, &[Code::NotFound, Code::NotCancelable]]),
     (
         "export_rig",
-        &[GUARDED, ASKING, READING, EXPORTING, &[Code::NotFound, Code::Conflict, Code::Expired, Code::InvalidJson]],
+        &[
+            GUARDED,
+            ASKING,
+            READING,
+            EXPORTING,
+            &[Code::QuotaExceeded, Code::NotFound, Code::Conflict, Code::Expired, Code::InvalidJson],
+        ],
     ),
     ("reskin_rig", &[GUARDED, UPLOADING, WORKING, RESKINNING]),
     ("delete_rig", &[GUARDED, ASKING, &[Code::NotFound, Code::Conflict]]),
     ("rig_events", &[GUARDED, ASKING, &[Code::NotFound]]),
-    ("create_asset", &[GUARDED, UPLOADING, &[Code::IdempotencyMismatch, Code::IdempotencyInProgress, Code::NotFound]]),
+    ("ticket_rig", &[GUARDED, ASKING, &[Code::NotFound]]),
+    (
+        "create_asset",
+        &[
+            GUARDED,
+            UPLOADING,
+            READING,
+            SENDING,
+            &[Code::IdempotencyMismatch, Code::IdempotencyInProgress, Code::NotFound],
+        ],
+    ),
     ("get_asset", &[GUARDED, ASKING, &[Code::NotFound]]),
     ("delete_asset", &[GUARDED, ASKING, &[Code::NotFound]]),
     ("get_asset_content", &[GUARDED, ASKING, &[Code::NotFound, Code::Expired, Code::RangeNotSatisfiable]]),
@@ -144,7 +163,8 @@ pub async fn openapi() -> impl IntoResponse {
 fn document() -> Value {
     let mut document = serde_json::to_value(Description::openapi()).unwrap_or_default();
     let scheme = json!({"type": "http", "scheme": "bearer", "description": "A key made by `rigsmith keys new`; only where the service asks for keys"});
-    document["components"]["securitySchemes"] = json!({"key": scheme});
+    let ticket = json!({"type": "apiKey", "in": "query", "name": TICKET, "description": "A ticket from `POST /v1/rigs/{id}:ticket`; opens the events of one rig"});
+    document["components"]["securitySchemes"] = json!({"key": scheme, "ticket": ticket});
     let paths = document.get_mut("paths").and_then(Value::as_object_mut);
     let operations = paths.into_iter().flat_map(Map::values_mut).filter_map(Value::as_object_mut);
     for operation in operations.flat_map(Map::values_mut) {
@@ -155,7 +175,8 @@ fn document() -> Value {
 
 /// Adds the refusals of an operation, and whether it asks for a key.
 fn complete(operation: &mut Value) {
-    let id = operation["operationId"].as_str().unwrap_or_default();
+    let id = operation["operationId"].as_str().unwrap_or_default().to_owned();
+    leave_out_or_give(operation);
     let Some((_, groups)) = PROBLEMS.iter().find(|(known, _)| *known == id) else { return };
     let mut by_status: BTreeMap<u16, Vec<&str>> = BTreeMap::new();
     for facts in groups.iter().copied().flatten().map(|code| code.facts()) {
@@ -165,7 +186,10 @@ fn complete(operation: &mut Value) {
         }
     }
     if groups.contains(&GUARDED) {
-        operation["security"] = json!([{"key": []}, {}]);
+        operation["security"] = match id.as_str() {
+            "rig_events" => json!([{"key": []}, {"ticket": []}, {}]),
+            _ => json!([{"key": []}, {}]),
+        };
     }
     for (status, codes) in by_status {
         let named: Vec<String> = codes.iter().map(|code| format!("`{code}`")).collect();
@@ -177,6 +201,25 @@ fn complete(operation: &mut Value) {
                 json!({"Retry-After": {"description": "Seconds after which to try again", "schema": seconds}});
         }
         operation["responses"][status.to_string()] = response;
+    }
+}
+
+/// A parameter that may be left out cannot be `null`: there is no way to write that in a header or a query.
+fn leave_out_or_give(operation: &mut Value) {
+    let parameters = operation.get_mut("parameters").and_then(Value::as_array_mut);
+    for schema in parameters.into_iter().flatten().filter_map(|parameter| parameter.get_mut("schema")) {
+        let given = |kind: &Value| *kind != "null" && kind.get("type").is_none_or(|kind| *kind != "null");
+        for several in ["type", "oneOf"] {
+            let Some(kinds) = schema.get_mut(several).and_then(Value::as_array_mut) else { continue };
+            kinds.retain(given);
+            if let [only] = &kinds[..] {
+                let only = only.clone();
+                match several {
+                    "type" => schema["type"] = only,
+                    _ => *schema = only,
+                }
+            }
+        }
     }
 }
 

@@ -1,5 +1,9 @@
 //! What a create request says, as JSON, as parameters, and as it is told back with the job.
+//!
+//! Defaults stand in the texts alone: generated clients send a parameter that has a `default` always, and then it contradicts
+//! the same field of the body.
 
+use super::words::{ExistingRigName, OutputName, PriorityName, SkinMethodName, SymmetryName};
 use crate::jobs::options::{axis_name, skin_method_name};
 use crate::jobs::{JobRequest, LevelOfDetail, RigOptions};
 use serde::Serialize;
@@ -11,54 +15,54 @@ use utoipa::{IntoParams, ToSchema};
 #[schema(as = RigOptions)]
 #[into_params(parameter_in = Query)]
 pub struct OptionsView {
-    /// A method of `GET /v1/methods`, or `auto`.
-    #[param(required = false, default = "auto")]
+    /// A method of `GET /v1/methods`, or `auto`, which it is unless given.
+    #[param(required = false)]
     #[schema(example = "auto", required = false)]
     pub method: String,
-    /// How many joints: 0 (few) to 1 (many). Not together with `bandwidth`.
-    #[param(required = false, default = 0.5, minimum = 0, maximum = 1)]
+    /// How many joints: 0 (few) to 1 (many); 0.5 unless given. Not together with `bandwidth`.
+    #[param(required = false, minimum = 0, maximum = 1)]
     #[schema(example = 0.5, minimum = 0, maximum = 1, required = false)]
     pub detail: Option<f64>,
     /// For experts: RigNet's mean-shift bandwidth in units of the longest side; larger means fewer joints.
     #[param(required = false, minimum = 0.005, maximum = 0.5)]
     #[schema(example = json!(null), minimum = 0.005, maximum = 0.5, required = false)]
     pub bandwidth: Option<f64>,
-    /// `auto`, `on` or `off`.
-    #[param(required = false, default = "auto")]
-    #[schema(example = "auto", required = false)]
+    /// Whether left and right are made alike; `auto` unless given.
+    #[param(required = false, value_type = SymmetryName)]
+    #[schema(example = "auto", required = false, value_type = SymmetryName)]
     pub symmetry: &'static str,
-    /// What weighs the vertices: `auto`, `rignet`, `geodesic_voxel` or `geodesic_heat`.
-    #[param(required = false, default = "auto")]
-    #[schema(example = "auto")]
+    /// What weighs the vertices; `auto` unless given.
+    #[param(required = false, value_type = SkinMethodName)]
+    #[schema(example = "auto", required = false, value_type = SkinMethodName)]
     pub skin_method: &'static str,
     /// A skeleton to make weights for, instead of making one: the text of a `rig.json`, of which `format` and `joints` are
     /// read; in JSON also as an object. It stays as it is. A job shows how many joints it has.
     #[param(required = false)]
     #[schema(example = json!(null), required = false)]
     pub skeleton: Option<String>,
-    /// Joints per vertex at most.
-    #[param(required = false, default = 4, minimum = 1, maximum = 8)]
+    /// Joints per vertex at most; 4 unless given.
+    #[param(required = false, minimum = 1, maximum = 8)]
     #[schema(example = 4, minimum = 1, maximum = 8, required = false)]
     pub max_influences: usize,
-    /// The same bytes for the same seed.
-    #[param(required = false, default = 0, minimum = 0)]
+    /// The same bytes for the same seed; 0 unless given.
+    #[param(required = false, minimum = 0)]
     #[schema(example = 0, minimum = 0, required = false)]
     pub seed: u64,
-    /// Which way is up: `auto`, `x`, `-x`, `y`, `-y`, `z` or `-z`.
-    #[param(required = false, default = "auto")]
+    /// Which way is up: `auto` (unless given), `x`, `-x`, `y`, `-y`, `z` or `-z`.
+    #[param(required = false)]
     #[schema(example = "auto", required = false)]
     pub up: &'static str,
     /// Which way the character faces, in the same words.
-    #[param(required = false, default = "auto")]
+    #[param(required = false)]
     #[schema(example = "auto", required = false)]
     pub front: &'static str,
-    /// For a file that has a skeleton: `reject` or `replace`.
-    #[param(required = false, default = "reject")]
-    #[schema(example = "reject", required = false)]
+    /// For a file that has a skeleton; `reject` unless given.
+    #[param(required = false, value_type = ExistingRigName)]
+    #[schema(example = "reject", required = false, value_type = ExistingRigName)]
     pub existing_rig: &'static str,
-    /// Files to make: `glb`, `gltf`, `rig_json`, `rignet_txt`, `preview_png`. In a query or form, separated by commas.
-    #[param(required = false, style = Form, explode = false)]
-    #[schema(example = json!(["glb", "rig_json"]), required = false)]
+    /// Files to make; `glb` and `rig_json` unless given. In a query or form, separated by commas.
+    #[param(required = false, style = Form, explode = false, value_type = Vec<OutputName>)]
+    #[schema(example = json!(["glb", "rig_json"]), required = false, value_type = Vec<OutputName>)]
     pub outputs: Vec<&'static str>,
 }
 
@@ -66,8 +70,8 @@ pub struct OptionsView {
 #[derive(Debug, Serialize, ToSchema)]
 #[schema(as = JobWishes)]
 pub struct WishesView {
-    /// What runs first when jobs wait: `low`, `normal` or `high`.
-    #[schema(example = "normal", required = false)]
+    /// What runs first when jobs wait; `normal` unless given.
+    #[schema(example = "normal", required = false, value_type = PriorityName)]
     pub priority: &'static str,
     /// Longest run.
     #[schema(example = 300, minimum = 1, required = false)]
@@ -84,8 +88,8 @@ pub struct WishesView {
 #[derive(IntoParams)]
 #[into_params(parameter_in = Query)]
 pub struct WishesParameters {
-    /// What runs first when jobs wait: `low`, `normal` or `high`.
-    #[param(default = "normal", example = "normal")]
+    /// What runs first when jobs wait; `normal` unless given.
+    #[param(example = "normal", value_type = Option<PriorityName>)]
     pub priority: Option<String>,
     /// Longest run; at most what `GET /v1/methods` says.
     #[param(minimum = 1, example = 120)]
@@ -109,23 +113,43 @@ pub struct RequestView {
 }
 
 /// A create request in JSON: an asset, and any of the options.
-#[derive(ToSchema)]
+#[derive(Serialize, ToSchema)]
 #[schema(as = CreateRig)]
 pub struct CreateView {
-    /// Id of an asset; or a small mesh in the request itself, as
-    /// `{"inline": {"media_type": "model/gltf-binary", "base64": "…"}}`, 4 MiB at most.
-    #[schema(value_type = String, example = "ast_01jdf5fj5rfxm8s1m2q1d2zt8v")]
-    pub asset: String,
-    #[schema(inline)]
+    #[schema(example = "ast_01jdf5fj5rfxm8s1m2q1d2zt8v")]
+    pub asset: AssetSourceView,
+    #[serde(flatten)]
     pub options: OptionsView,
+    #[serde(flatten)]
+    pub wishes: WishesView,
+}
+
+/// Id of an asset, or a small mesh in the request itself.
+#[derive(Serialize, ToSchema)]
+#[serde(untagged)]
+#[schema(as = AssetSource)]
+pub enum AssetSourceView {
+    Id(String),
+    Inline { inline: InlineView },
+}
+
+/// A mesh of 4 MiB at most.
+#[derive(Serialize, ToSchema)]
+#[schema(as = InlineMesh)]
+pub struct InlineView {
+    /// As `Content-Type` would say.
+    #[schema(example = "model/gltf-binary")]
+    pub media_type: String,
+    /// Its bytes in base64, with padding.
+    #[schema(example = "Z2xURgIAAAA=")]
+    pub base64: String,
 }
 
 /// Which file to write of a rig.
 #[derive(ToSchema)]
 #[schema(as = ExportRig)]
 pub struct ExportView {
-    /// `glb`, `gltf`, `rig_json`, `rignet_txt` or `preview_png`.
-    #[schema(example = "gltf")]
+    #[schema(value_type = OutputName, example = "gltf")]
     pub output: String,
     /// Joints per vertex at most, if not as the rig was asked for. Not more than were made.
     #[schema(example = 2, minimum = 1, maximum = 8)]

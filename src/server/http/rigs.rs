@@ -8,6 +8,7 @@ use super::outermost::AboutJob;
 use super::segments::Segments;
 use super::views::{JobListView, JobView, timings_ms};
 use super::wishes;
+use super::words::StateName;
 use crate::jobs::{Caller, Job, JobFilter, JobId, JobState, NoPage};
 use axum::Json;
 use axum::extract::State;
@@ -55,7 +56,7 @@ pub async fn get_rig(
 #[utoipa::path(
     get, path = "/v1/rigs", tag = "rigs",
     params(
-        ("state" = Option<String>, Query, description = "Only rigs in this state", example = "succeeded"),
+        ("state" = Option<StateName>, Query, description = "Only rigs in this state", example = "succeeded"),
         ("label" = Option<String>, Query, description = "Only rigs with this label, as `name=value`", example = "project=knights"),
         ("page_size" = Option<u32>, Query, description = "1 to 100; 20 unless given", minimum = 1, maximum = 100, example = 20),
         ("page_token" = Option<String>, Query, description = "`next_page_token` of the page before"),

@@ -8,6 +8,7 @@ use super::outermost::AboutJob;
 use super::request_views::{ExportView, OptionsView, WishesParameters};
 use super::rigs::{after, find, job_response, note_wait, resolve};
 use super::segments::Segments;
+use super::tickets::ticket_rig;
 use super::views::{JobView, hex, job_path};
 use super::wishes::WishesReader;
 use super::{idempotency, receive};
@@ -30,10 +31,11 @@ pub async fn rig_verb(
         Some((id, "cancel")) => cancel_rig(&app, identity, id, request).await,
         Some((id, "export")) => export_rig(&app, identity, id, request).await,
         Some((id, "reskin")) => reskin_rig(&app, identity, id, request).await,
+        Some((id, "ticket")) => ticket_rig(&app, identity, id, request).await,
         Some((_, verb)) => {
             let verb: String = verb.chars().take(40).collect();
             Err(ApiError::not_found(&format!("verb {verb:?}"))
-                .hint("there are {id}:cancel, {id}:export and {id}:reskin"))
+                .hint("there are {id}:cancel, {id}:export, {id}:reskin and {id}:ticket"))
         }
         None => Err(ApiError::new(Code::MethodNotAllowed, format!("{} is not for one rig", Method::POST))
             .header(header::ALLOW, "GET, HEAD, PUT, DELETE")

@@ -3,8 +3,9 @@
 use super::error::Limit;
 use super::request_views::RequestView;
 use super::timestamp::rfc3339;
+use super::words::{SeverityName, StageName, StateName};
 use crate::formats::Severity;
-use crate::jobs::{ArtifactInfo, Asset, FileInfo, Job, JobError, JobResult, JobState, ModelInfo, Notice, asset_sha256};
+use crate::jobs::{ArtifactInfo, FileInfo, Job, JobError, JobResult, JobState, ModelInfo, Notice, asset_sha256};
 use serde::Serialize;
 use serde_json::{Map, Value};
 use std::collections::BTreeMap;
@@ -19,11 +20,9 @@ pub struct JobView {
     pub id: String,
     #[schema(example = "rig")]
     pub object: &'static str,
-    /// `queued`, `running`, `succeeded`, `failed`, `canceled`; `expired` once the results are gone.
-    #[schema(example = "succeeded")]
+    #[schema(value_type = StateName, example = "succeeded")]
     pub state: &'static str,
-    /// `ingest`, `check`, `normalize`, `geometry`, `joints`, `connect`, `skin`, `transfer`, `export` or `validate`.
-    #[schema(example = "validate")]
+    #[schema(value_type = Option<StageName>, example = "validate")]
     pub stage: Option<&'static str>,
     /// Never falls; 100 only with `succeeded`.
     #[schema(example = 100, minimum = 0, maximum = 100)]
@@ -66,40 +65,6 @@ pub struct JobView {
     pub result: Option<ResultView>,
     pub error: Option<JobErrorView>,
     pub links: LinksView,
-}
-
-/// An upload that is kept, to be rigged more than once.
-#[derive(Debug, Serialize, ToSchema)]
-#[schema(as = Asset)]
-pub struct AssetView {
-    #[schema(example = "ast_01jdf5fj5rfxm8s1m2q1d2zt8v")]
-    pub id: String,
-    #[schema(example = "asset")]
-    pub object: &'static str,
-    /// Digest of the file sent; of the list of names and digests when there were several.
-    #[schema(example = "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08")]
-    pub sha256: String,
-    /// All files together.
-    #[schema(example = 482_113)]
-    pub bytes: u64,
-    /// The one to rig first.
-    pub files: Vec<FileView>,
-    #[schema(example = "2026-11-24T15:20:07.042Z", format = DateTime)]
-    pub created_at: String,
-    /// When it goes, unless it is used again before.
-    #[schema(example = "2026-11-25T15:20:07.042Z", format = DateTime)]
-    pub expires_at: String,
-    pub links: AssetLinksView,
-}
-
-#[derive(Debug, Serialize, ToSchema)]
-#[schema(as = AssetLinks)]
-pub struct AssetLinksView {
-    #[schema(example = "/v1/assets/ast_01jdf5fj5rfxm8s1m2q1d2zt8v")]
-    #[serde(rename = "self")]
-    pub this: String,
-    #[schema(example = "/v1/assets/ast_01jdf5fj5rfxm8s1m2q1d2zt8v/content")]
-    pub content: String,
 }
 
 /// A file of the upload.
@@ -147,11 +112,15 @@ pub struct ModelView {
 pub struct FindingView {
     #[schema(example = "degenerate_faces")]
     pub code: String,
-    #[schema(example = "warning")]
+    #[schema(value_type = SeverityName, example = "warning")]
     pub severity: &'static str,
     #[schema(example = "12 faces have no area and are ignored")]
     pub message: String,
+    #[schema(example = "")]
     pub hint: String,
+    /// Names of the parts of the file that it is about, twenty at most; empty: the whole file.
+    #[schema(example = json!(["Hair", "Body, primitive 1"]))]
+    pub r#where: Vec<String>,
 }
 
 /// What came out.
@@ -187,7 +156,7 @@ pub struct ArtifactView {
 pub struct JobErrorView {
     #[schema(example = "no_joints_found")]
     pub code: &'static str,
-    #[schema(example = "joints")]
+    #[schema(value_type = Option<StageName>, example = "joints")]
     pub stage: Option<&'static str>,
     #[schema(example = "no joints were found with bandwidths from 0.02 to 0.1")]
     pub message: String,
@@ -339,22 +308,6 @@ impl ArtifactView {
     }
 }
 
-impl From<&Asset> for AssetView {
-    fn from(asset: &Asset) -> Self {
-        let path = format!("/v1/assets/{}", asset.id);
-        Self {
-            id: asset.id.to_string(),
-            object: "asset",
-            sha256: hex(&asset.sha256),
-            bytes: asset.bytes(),
-            files: asset.files.iter().map(FileView::from).collect(),
-            created_at: rfc3339(asset.created_at),
-            expires_at: rfc3339(asset.expires_at),
-            links: AssetLinksView { content: format!("{path}/content"), this: path },
-        }
-    }
-}
-
 impl From<&FileInfo> for FileView {
     fn from(file: &FileInfo) -> Self {
         Self { name: file.name.clone(), bytes: file.bytes, sha256: hex(&file.sha256) }
@@ -367,7 +320,21 @@ impl From<&Notice> for FindingView {
             Severity::Info => "info",
             Severity::Warning => "warning",
         };
-        Self { code: finding.code.clone(), severity, message: finding.message.clone(), hint: finding.hint.clone() }
+        let Notice { code, parts, message, hint, .. } = finding.clone();
+        Self { code, severity, message, hint, r#where: parts }
+    }
+}
+
+/// Why a file cannot be read.
+impl From<&JobError> for FindingView {
+    fn from(error: &JobError) -> Self {
+        Self {
+            code: error.code.name().to_owned(),
+            severity: "error",
+            message: error.message.clone(),
+            hint: error.hint.clone(),
+            r#where: Vec::new(),
+        }
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::fixtures::*;
 use glam::{DMat4, DVec3};
-use rigsmith::formats::{Asset, DecodeOptions, Limits, NoSiblings, Siblings, decode};
+use rigsmith::formats::{Asset, Contents, DecodeOptions, Limits, NoSiblings, Siblings, decode};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 
@@ -305,4 +305,34 @@ fn a_posed_skin_moves_every_vertex_by_its_own_weights() {
             .sum();
         assert!(shown.distance(expected) < 1e-5);
     }
+}
+
+#[test]
+fn what_the_file_holds_is_counted_as_it_was_sent() {
+    let mut builder = plain();
+    let deltas = builder.floats(&[[0.0_f32; 3]; 24]);
+    builder.json["meshes"][0]["primitives"][0]["targets"] = json!([{ "POSITION": deltas }, { "POSITION": deltas }]);
+    builder.root(json!({ "name": "Twin", "mesh": 0, "translation": [2.0, 0.0, 0.0] }));
+    let (time, values) = (builder.floats(&[[0.0_f32]]), builder.floats(&[[0.0_f32; 3]]));
+    let sampler = json!({ "input": time, "output": values });
+    let channel = json!({ "sampler": 0, "target": { "node": 0, "path": "translation" } });
+    builder.push("animations", json!({ "samplers": [sampler], "channels": [channel] }));
+    let asset = read(&builder.glb()).expect("reads");
+    assert_eq!(asset.contents, Contents { meshes: 1, animations: 1, morph_targets: 2 }, "twins are one mesh");
+    assert_eq!(asset.parts.len(), 2);
+}
+
+#[test]
+fn a_finding_is_told_once_and_names_its_parts() {
+    let mut builder = plain();
+    let mut flat = body();
+    flat.indices.extend([0, 0, 1]);
+    let mesh = builder.body(&flat);
+    let primitive = builder.json["meshes"][mesh]["primitives"][0].clone();
+    builder.json["meshes"][mesh]["primitives"] = json!([primitive, primitive]);
+    builder.root(json!({ "name": "Hat", "mesh": mesh }));
+    let asset = read(&builder.glb()).expect("reads");
+    let found: Vec<_> = asset.findings.iter().filter(|finding| finding.code == "degenerate_faces").collect();
+    assert_eq!(found.len(), 1, "{:?}", asset.findings);
+    assert_eq!(found[0].parts, ["Hat", "Hat, primitive 1"]);
 }

@@ -4,7 +4,7 @@ use super::fixtures::*;
 use glam::DVec3;
 use rigsmith::formats::gltf::{EncodeError, EncodeOptions, WeightFormat, encode_glb};
 use rigsmith::formats::{
-    Alpha, Asset, Format, Image, ImageType, Material, Part, Scene, SceneNode, ScenePrimitive, Source,
+    Alpha, Asset, Contents, Format, Image, ImageType, Material, Part, Scene, SceneNode, ScenePrimitive, Source,
 };
 use rigsmith::mesh::Mesh;
 use rigsmith::rig::{Influence, Joint, Rig};
@@ -212,7 +212,16 @@ fn scene_asset() -> Asset {
     let parts = vec![Part { name: "hips".into(), mesh: 0, primitive: 0, vertices: 0..4 }];
     let mesh = Mesh { positions, triangles };
     let source = Source::Scene(scene);
-    Asset { format: Format::Obj, mesh, parts, axes: None, existing_rig: None, findings: Vec::new(), source }
+    Asset {
+        format: Format::Obj,
+        mesh,
+        parts,
+        axes: None,
+        contents: Contents::default(),
+        existing_rig: None,
+        findings: Vec::new(),
+        source,
+    }
 }
 
 #[test]

@@ -4,6 +4,7 @@ use super::scripted::{Answer, Service, form, request};
 use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
 use serde_json::{Value, json};
+use std::sync::atomic::Ordering;
 
 const JSON: (&str, &str) = ("content-type", "application/json");
 const OBJ: (&str, &str) = ("content-type", "model/obj");
@@ -212,4 +213,54 @@ async fn rigs_are_found_by_their_labels() {
     let token = page["next_page_token"].as_str().expect("a token");
     let other_list = service.get(&format!("/v1/rigs?label=shot=2&page_token={token}")).await;
     other_list.refused(400, "invalid_parameter");
+}
+
+#[tokio::test]
+async fn an_asset_tells_what_it_holds_and_is_looked_at_once() {
+    let service = Service::new();
+    let made = upload(&service, "ok").await.json();
+    assert_eq!((&made["mesh"]["faces"], &made["existing"]["morph_targets"]), (&json!(12), &json!(0)));
+    let finding =
+        json!({"code": "scripted", "severity": "warning", "message": "this is a test", "hint": "", "where": ["Hat"]});
+    assert_eq!(made["findings"], json!([finding]));
+    let path = made["links"]["self"].as_str().expect("a link");
+    assert_eq!(service.get(path).await.json(), made);
+    assert_eq!(upload(&service, "ok").await.json()["mesh"], made["mesh"]);
+    assert_eq!(service.rigger.checks.load(Ordering::SeqCst), 1);
+}
+
+#[tokio::test]
+async fn what_cannot_be_read_is_no_asset_but_the_files_of_a_waiting_rig_say_so() {
+    let service = Service::new();
+    upload(&service, "fail no_geometry").await.refused(422, "no_geometry");
+    service.keeps(0);
+    for script in ["hang", "hang 2"] {
+        service.rig("", &[], script).await;
+    }
+    let waiting = service.rig("", &[], "fail no_geometry").await.json();
+    let asset = service.get(&format!("/v1/assets/{}", waiting["asset"].as_str().expect("an asset"))).await;
+    assert_eq!((asset.status.as_u16(), &asset.json()["mesh"]), (200, &Value::Null));
+    let finding = &asset.json()["findings"][0];
+    assert_eq!((&finding["code"], &finding["severity"]), (&json!("no_geometry"), &json!("error")));
+}
+
+#[tokio::test]
+async fn a_check_and_an_asset_that_need_more_memory_than_there_is_are_refused() {
+    let service = Service::with(|settings, _| settings.memory_bytes_max = Some(1 << 20));
+    upload(&service, "ok").await.refused(413, "out_of_memory");
+    service.send(request("POST", "/v1/rigs:check", &[OBJ], "ok")).await.refused(413, "out_of_memory");
+    service.keeps(0);
+}
+
+#[tokio::test]
+async fn another_engine_version_gives_no_earlier_result() {
+    let service = Service::new();
+    let rig = async || {
+        let done = service.send(request("POST", "/v1/rigs", &[OBJ, ("prefer", "wait=10")], "ok")).await.json();
+        assert_eq!(done["state"], "succeeded", "{done}");
+        done["provenance"]["cached"].as_bool()
+    };
+    assert_eq!((rig().await, rig().await), (Some(false), Some(true)));
+    "2".clone_into(&mut service.rigger.engine_version.lock().expect("not poisoned"));
+    assert_eq!((rig().await, rig().await), (Some(false), Some(true)));
 }

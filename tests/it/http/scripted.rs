@@ -6,12 +6,14 @@
 use axum::Router;
 use axum::body::Body;
 use axum::http::{HeaderMap, Request, StatusCode};
+use glam::DVec3;
 use http_body_util::BodyExt;
-use rigsmith::formats::{Finding, Severity};
+use rigsmith::formats::{Contents, Finding, Format, Severity};
 use rigsmith::jobs::{
-    Artifact, Availability, ErrorCode, JobError, Jobs, MethodInfo, ModelInfo, Outcome, Readiness, RigRequest, Rigger,
-    Settings, Stage, Watch,
+    Artifact, Availability, Check, ErrorCode, JobError, Jobs, MethodInfo, ModelInfo, Outcome, Readiness, RigRequest,
+    Riggable, Rigger, Settings, Stage, Watch,
 };
+use rigsmith::pipelines::orientation::Orientation;
 use rigsmith::server::{App, Limits, app};
 use rigsmith::storage::Store;
 use serde_json::{Map, Value, json};
@@ -26,6 +28,9 @@ pub struct Scripted {
     pub readiness: Mutex<Readiness>,
     /// Requests performed, newest last.
     pub seen: Mutex<Vec<RigRequest>>,
+    /// Calls of `check`.
+    pub checks: AtomicUsize,
+    pub engine_version: Mutex<String>,
     running: AtomicUsize,
     pub running_most: AtomicUsize,
 }
@@ -35,6 +40,8 @@ impl Default for Scripted {
         Self {
             readiness: Mutex::new(Readiness::Ready),
             seen: Mutex::default(),
+            checks: AtomicUsize::new(0),
+            engine_version: Mutex::new("1".to_owned()),
             running: AtomicUsize::new(0),
             running_most: AtomicUsize::new(0),
         }
@@ -46,6 +53,16 @@ pub const GLB_BYTES: usize = 700_000;
 /// What the scripted rigger writes: long enough for several chunks.
 pub fn glb() -> Vec<u8> {
     (0..GLB_BYTES).map(|index| (index % 251) as u8).collect()
+}
+
+fn scripted_finding() -> Finding {
+    Finding {
+        code: "scripted",
+        parts: vec!["Hat".to_owned()],
+        severity: Severity::Warning,
+        message: "this is a test".to_owned(),
+        hint: String::new(),
+    }
 }
 
 impl Scripted {
@@ -120,19 +137,32 @@ impl Rigger for Scripted {
                 artifact("rigged.rig.json", "application/json", b"{}".to_vec()),
             ],
             report: Map::from_iter([("skeleton".to_owned(), json!({"joints": 24}))]),
-            findings: vec![Finding {
-                code: "scripted",
-                severity: Severity::Warning,
-                message: "this is a test".to_owned(),
-                hint: String::new(),
-            }],
+            findings: vec![scripted_finding()],
             method_used: "rignet".to_owned(),
         })
     }
 
-    fn check(&self, request: &RigRequest, watch: &Watch) -> Result<Map<String, Value>, JobError> {
+    fn check(&self, request: &RigRequest, watch: &Watch) -> Result<Check, JobError> {
+        self.checks.fetch_add(1, Ordering::SeqCst);
         self.act(&String::from_utf8_lossy(&request.files.first().expect("a file").bytes), watch)?;
-        Ok(Map::from_iter([("riggable".to_owned(), json!("yes"))]))
+        Ok(Check {
+            riggable: Riggable::Yes,
+            suggested_method: "rignet",
+            format: Format::Obj,
+            vertices: 8,
+            faces: 12,
+            primitives: 1,
+            contents: Contents { meshes: 1, ..Contents::default() },
+            existing_rig: None,
+            orientation: Orientation { up: DVec3::Y, front: DVec3::Z, confidence: 1.0 },
+            orientation_given: true,
+            survey: None,
+            findings: vec![scripted_finding().into()],
+        })
+    }
+
+    fn engine_version(&self) -> String {
+        self.engine_version.lock().expect("not poisoned").clone()
     }
 
     fn methods(&self) -> Vec<MethodInfo> {

@@ -1,0 +1,350 @@
+//! Reads options field by field, from text and from JSON. One reader serves the command line, query parameters, form
+//! fields and JSON, so a field has one name, one range and one message everywhere.
+
+use super::options::{Output, RigOptions, Words, axis_name};
+use crate::formats::{Axis, rig_json};
+use crate::pipelines::{LevelOfDetail, Skeleton};
+use serde_json::Value;
+use std::fmt;
+use std::ops::RangeInclusive;
+use std::sync::Arc;
+
+const DETAIL: RangeInclusive<f64> = 0.0..=1.0;
+/// In units of the normalised frame (longest side 1). The published RigNet uses 0.03 to 0.062.
+const BANDWIDTH: RangeInclusive<f64> = 0.005..=0.5;
+const MAX_INFLUENCES: RangeInclusive<u64> = 1..=8;
+
+/// Why one field was refused.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{field}: {detail}")]
+pub struct FieldError {
+    pub field: String,
+    pub problem: FieldProblem,
+    /// What was seen and what is accepted.
+    pub detail: String,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FieldProblem {
+    Unknown,
+    Invalid,
+}
+
+/// One value as it came in: text (command line, query, form) or JSON.
+#[derive(Clone, Copy, Debug)]
+enum Raw<'a> {
+    Text(&'a str),
+    Json(&'a Value),
+}
+
+impl fmt::Display for Raw<'_> {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let text = match self {
+            Raw::Text(text) => format!("{text:?}"),
+            Raw::Json(value) => value.to_string(),
+        };
+        if text.chars().count() > SHOWN_CHARACTERS_MAX {
+            write!(out, "{}…", text.chars().take(SHOWN_CHARACTERS_MAX).collect::<String>())
+        } else {
+            out.write_str(&text)
+        }
+    }
+}
+
+/// A refused value is repeated in the message up to this length.
+const SHOWN_CHARACTERS_MAX: usize = 60;
+/// Refusals collected in one answer; a caller who sends nonsense learns enough from these.
+const ERRORS_MAX: usize = 20;
+
+/// Collects fields from any number of places, then gives the options or every refusal at once.
+#[derive(Clone, Debug, Default)]
+pub struct OptionsReader {
+    options: RigOptions,
+    seen: Vec<&'static str>,
+    errors: Vec<FieldError>,
+}
+
+impl OptionsReader {
+    /// The names of all fields.
+    pub const FIELDS: &'static [&'static str] = &[
+        "method",
+        "detail",
+        "bandwidth",
+        "symmetry",
+        "skin_method",
+        "skeleton",
+        "max_influences",
+        "seed",
+        "up",
+        "front",
+        "existing_rig",
+        "outputs",
+    ];
+
+    /// Takes a field given as text.
+    pub fn text(&mut self, field: &str, value: &str) {
+        self.take(field, Raw::Text(value));
+    }
+
+    /// Takes a field given as JSON; `null` means the default.
+    pub fn json(&mut self, field: &str, value: &Value) {
+        self.take(field, Raw::Json(value));
+    }
+
+    /// The options, or every field that was refused.
+    pub fn finish(mut self) -> Result<RigOptions, Vec<FieldError>> {
+        if self.seen.contains(&"detail") && self.seen.contains(&"bandwidth") {
+            self.refuse("bandwidth", FieldProblem::Invalid, "give detail or bandwidth, not both".to_owned());
+        }
+        if let (Some(up), Some(front)) = (self.options.up, self.options.front)
+            && line(up) == line(front)
+        {
+            let detail = format!("{} and up {} lie on one line", axis_name(Some(front)), axis_name(Some(up)));
+            self.refuse("front", FieldProblem::Invalid, detail);
+        }
+        if self.errors.is_empty() { Ok(self.options) } else { Err(self.errors) }
+    }
+
+    fn refuse(&mut self, field: &str, problem: FieldProblem, detail: String) {
+        if self.errors.len() < ERRORS_MAX {
+            let field = field.chars().take(SHOWN_CHARACTERS_MAX).collect();
+            self.errors.push(FieldError { field, problem, detail });
+        }
+    }
+
+    fn take(&mut self, field: &str, raw: Raw) {
+        let Some(known) = Self::FIELDS.iter().find(|known| **known == field) else {
+            let detail = format!("no such field; there are {}", Self::FIELDS.join(", "));
+            return self.refuse(field, FieldProblem::Unknown, detail);
+        };
+        if matches!(raw, Raw::Json(Value::Null)) {
+            return;
+        }
+        if self.seen.contains(known) {
+            return self.refuse(field, FieldProblem::Invalid, "given twice; send it once".to_owned());
+        }
+        self.seen.push(known);
+        if let Err(detail) = self.set(known, raw) {
+            self.refuse(field, FieldProblem::Invalid, detail);
+        }
+    }
+
+    fn set(&mut self, field: &str, raw: Raw) -> Result<(), String> {
+        let options = &mut self.options;
+        match field {
+            "method" => options.method = method(raw)?,
+            "detail" => options.level_of_detail = LevelOfDetail::Detail(number(raw, DETAIL)?),
+            "bandwidth" => options.level_of_detail = LevelOfDetail::Bandwidth(number(raw, BANDWIDTH)?),
+            "symmetry" => options.symmetry = word(raw)?,
+            "skin_method" => options.skin_method = word(raw)?,
+            "skeleton" => options.skeleton = Some(skeleton(raw)?),
+            "max_influences" => options.max_influences = whole(raw, MAX_INFLUENCES)? as usize,
+            "seed" => options.seed = whole(raw, 0..=u64::MAX)?,
+            "up" => options.up = axis(raw)?,
+            "front" => options.front = axis(raw)?,
+            "existing_rig" => options.existing_rig = word(raw)?,
+            "outputs" => options.outputs = outputs(raw)?,
+            _ => return Err("known, but nobody reads it".to_owned()),
+        }
+        Ok(())
+    }
+}
+
+/// Which of the three lines an axis lies on.
+fn line(axis: Axis) -> u8 {
+    match axis {
+        Axis::PosX | Axis::NegX => 0,
+        Axis::PosY | Axis::NegY => 1,
+        Axis::PosZ | Axis::NegZ => 2,
+    }
+}
+
+fn text(raw: Raw<'_>) -> Result<&str, String> {
+    match raw {
+        Raw::Text(text) => Ok(text.trim()),
+        Raw::Json(Value::String(text)) => Ok(text),
+        Raw::Json(other) => Err(format!("{} is not a string", Raw::Json(other))),
+    }
+}
+
+fn number(raw: Raw, range: RangeInclusive<f64>) -> Result<f64, String> {
+    let value = match raw {
+        Raw::Text(text) => text.trim().parse().ok(),
+        Raw::Json(value) => value.as_f64(),
+    };
+    let value = value.ok_or_else(|| format!("{raw} is not a number"))?;
+    if range.contains(&value) {
+        Ok(value)
+    } else {
+        Err(format!("{raw} is outside {} to {}", range.start(), range.end()))
+    }
+}
+
+fn whole(raw: Raw, range: RangeInclusive<u64>) -> Result<u64, String> {
+    let value = match raw {
+        Raw::Text(text) => text.trim().parse().ok(),
+        Raw::Json(value) => value.as_u64(),
+    };
+    value
+        .filter(|value| range.contains(value))
+        .ok_or_else(|| format!("{raw} is not a whole number from {} to {}", range.start(), range.end()))
+}
+
+fn word<W: Words>(raw: Raw) -> Result<W, String> {
+    W::parse(text(raw)?).ok_or_else(|| format!("{raw} is not one of {}", W::choices()))
+}
+
+fn skeleton(raw: Raw) -> Result<Arc<Skeleton>, String> {
+    let read = match raw {
+        Raw::Text(text) => rig_json::read(text.as_bytes()),
+        Raw::Json(value) => rig_json::read(value.to_string().as_bytes()),
+    };
+    read.map(|file| Arc::new(file.skeleton)).map_err(|error| format!("{error}; {}", error.hint()))
+}
+
+fn method(raw: Raw) -> Result<Option<String>, String> {
+    match text(raw)? {
+        "auto" => Ok(None),
+        "" => Err("is empty; leave it out, or name a method".to_owned()),
+        name => Ok(Some(name.chars().take(SHOWN_CHARACTERS_MAX).collect())),
+    }
+}
+
+fn axis(raw: Raw) -> Result<Option<Axis>, String> {
+    let name = text(raw)?;
+    if name == "auto" {
+        return Ok(None);
+    }
+    // In a query string `+` means a blank, so a bare letter is the positive axis.
+    let signed = if name.starts_with(['+', '-']) { name.to_owned() } else { format!("+{name}") };
+    Axis::ALL
+        .into_iter()
+        .find(|axis| axis.name() == signed)
+        .map(Some)
+        .ok_or_else(|| format!("{raw} is not one of auto, x, -x, y, -y, z, -z"))
+}
+
+fn outputs(raw: Raw) -> Result<Vec<Output>, String> {
+    let names: Vec<&str> = match raw {
+        Raw::Text(text) => text.split(',').map(str::trim).collect(),
+        Raw::Json(Value::Array(values)) => {
+            values.iter().map(|value| text(Raw::Json(value))).collect::<Result<_, _>>()?
+        }
+        Raw::Json(_) => return Err(format!("{raw} is not a list")),
+    };
+    let mut outputs = Vec::new();
+    for name in names {
+        let output = word::<Output>(Raw::Text(name))?;
+        if !outputs.contains(&output) {
+            outputs.push(output);
+        }
+    }
+    if outputs.is_empty() { Err(format!("is empty; name some of {}", Output::choices())) } else { Ok(outputs) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::formats::ExistingRigPolicy;
+    use crate::pipelines::{SkinMethod, Symmetry};
+    use serde_json::json;
+
+    fn refused(field: &str, value: Value) -> FieldError {
+        let mut reader = OptionsReader::default();
+        reader.json(field, &value);
+        reader.finish().expect_err("refused").remove(0)
+    }
+
+    #[test]
+    fn every_field_is_read_from_text_and_from_json() {
+        let joints = json!([{ "name": "hips", "parent": null, "position": [0.5, 1.0, -0.25] }]);
+        let file = json!({ "format": rig_json::FORMAT, "joints": joints });
+        let fields = [
+            ("method", "rignet", json!("rignet")),
+            ("detail", "0.75", json!(0.75)),
+            ("symmetry", "off", json!("off")),
+            ("skin_method", "geodesic_voxel", json!("geodesic_voxel")),
+            ("skeleton", &file.to_string(), file.clone()),
+            ("max_influences", "8", json!(8)),
+            ("seed", "18446744073709551615", json!(u64::MAX)),
+            ("up", "z", json!("+z")),
+            ("front", "-y", json!("-y")),
+            ("existing_rig", "replace", json!("replace")),
+            ("outputs", "rig_json, glb,glb", json!(["rig_json", "glb"])),
+        ];
+        let (mut from_text, mut from_json) = (OptionsReader::default(), OptionsReader::default());
+        for (field, text, json) in &fields {
+            from_text.text(field, text);
+            from_json.json(field, json);
+        }
+        let expected = RigOptions {
+            method: Some("rignet".to_owned()),
+            level_of_detail: LevelOfDetail::Detail(0.75),
+            symmetry: Symmetry::Off,
+            skin_method: Some(SkinMethod::GeodesicVoxel),
+            skeleton: Some(Arc::new(rig_json::read(file.to_string().as_bytes()).expect("reads").skeleton)),
+            max_influences: 8,
+            seed: u64::MAX,
+            up: Some(Axis::PosZ),
+            front: Some(Axis::NegY),
+            existing_rig: ExistingRigPolicy::Replace,
+            outputs: vec![Output::RigJson, Output::Glb],
+        };
+        assert_eq!(from_text.finish(), Ok(expected.clone()));
+        assert_eq!(from_json.finish(), Ok(expected.clone()));
+        let bandwidth = RigOptions { level_of_detail: LevelOfDetail::Bandwidth(0.05), ..RigOptions::default() };
+        for options in [expected, bandwidth, RigOptions::default()] {
+            let written = options.to_json();
+            let mut reader = OptionsReader::default();
+            let fields = written.as_object().expect("an object");
+            assert_eq!(fields.keys().collect::<Vec<_>>(), OptionsReader::FIELDS.iter().collect::<Vec<_>>());
+            fields.iter().for_each(|(field, value)| reader.json(field, value));
+            assert_eq!(reader.finish(), Ok(options), "what is written is read back");
+        }
+    }
+
+    #[test]
+    fn every_listed_field_has_a_reader() {
+        for field in OptionsReader::FIELDS {
+            let error = refused(field, json!({}));
+            assert!(!error.detail.contains("nobody"), "{error}");
+        }
+    }
+
+    #[test]
+    fn refusals_name_the_field_what_was_seen_and_what_is_accepted() {
+        for (field, value, said) in [
+            ("detail", json!(1.5), "1.5 is outside 0 to 1"),
+            ("detail", json!("0.5"), "\"0.5\" is not a number"),
+            ("bandwidth", json!(0), "0 is outside 0.005 to 0.5"),
+            ("max_influences", json!(4.5), "4.5 is not a whole number from 1 to 8"),
+            ("seed", json!(-1), "-1 is not a whole number"),
+            ("symmetry", json!("maybe"), "\"maybe\" is not one of auto, on, off"),
+            ("skin_method", json!("heat"), "\"heat\" is not one of auto, rignet, geodesic_voxel, geodesic_heat"),
+            ("skeleton", json!({ "format": "rigsmith.rig/1", "joints": [] }), "no joints"),
+            ("outputs", json!([]), "is empty"),
+            ("outputs", json!("glb"), "is not a list"),
+            ("colour", json!("red"), "no such field"),
+        ] {
+            let error = refused(field, value);
+            assert_eq!(error.field, field);
+            assert!(error.detail.contains(said), "{error}");
+        }
+        let mut reader = OptionsReader::default();
+        reader.text("detail", "NaN");
+        assert!(reader.finish().is_err(), "NaN lies in no range");
+    }
+
+    #[test]
+    fn contradictions_are_refused() {
+        for pair in
+            [[("detail", "0.5"), ("bandwidth", "0.05")], [("up", "y"), ("front", "-y")], [("seed", "1"), ("seed", "1")]]
+        {
+            let mut reader = OptionsReader::default();
+            for (field, value) in pair {
+                reader.text(field, value);
+            }
+            assert_eq!(reader.finish().expect_err("refused").len(), 1, "{pair:?}");
+        }
+    }
+}
