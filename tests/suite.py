@@ -41,6 +41,7 @@ STEPS = [
     Step("program", ["cargo", "build", "--release", "--locked", "--bins", "--examples"]),
     Step("tests", ["cargo", "test", "--release", "--locked", "--no-fail-fast"], CARGO_SUMMARY),
     Step("Python tests", [PYTHON, "-m", "pytest", "-q", "models/tests"], PYTEST_SUMMARY),
+    Step("Python client", [PYTHON, "tests/checks/python_client.py"], CHECK_SUMMARY, ["program"]),
     Step("rigging of the cases", [PYTHON, "tests/checks/rig_cases.py", OUTPUTS], CHECK_SUMMARY, ["program"]),
     Step("glTF validator", ["node", "tests/checks/validate.mjs", OUTPUTS], CHECK_SUMMARY, ["program"]),
     Step("three.js", ["node", "tests/checks/threejs.mjs", OUTPUTS], CHECK_SUMMARY, ["program"]),
