@@ -1,7 +1,8 @@
 //! What the service costs on top of the rig: an upload with `Prefer: wait` over HTTP, beside the same rig in the same
 //! warm process, turn by turn. On a busy machine the rig's own time varies by more than the service costs, so the cost is
 //! taken within each request: its whole time less the time of its stages. (They are told in whole milliseconds, which
-//! makes the cost look up to 10 ms larger.) Prints the figures of `docs/bad-input-and-load.md`.
+//! makes the cost look up to 10 ms larger.) CPU-seconds, which other programs change little, are taken of both too: they
+//! are all of this process, so those over HTTP include the client's. Prints the figures of `docs/bad-input-and-load.md`.
 //!
 //!     cargo run --release --example service_latency [ROUNDS]
 
@@ -60,17 +61,33 @@ fn main() -> Result<(), Box<dyn Error>> {
     direct()?;
     served()?;
     let (mut alone, mut over_http, mut extra) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut cpu_alone, mut cpu_over_http) = (0.0, 0.0);
     for _ in 0..rounds {
+        let before = cpu_ms()?;
         alone.push(direct()?);
+        let between = cpu_ms()?;
         let (took, cost) = served()?;
         over_http.push(took);
         extra.push(cost);
+        cpu_alone += between - before;
+        cpu_over_http += cpu_ms()? - between;
     }
     let (alone, over_http, extra) = (median(&mut alone), median(&mut over_http), median(&mut extra));
     println!("{} bytes, {VERTICES} vertices, {rounds} rounds, {threads} threads; medians", glb.len());
     println!("rig in the process: {alone:.1} ms; over HTTP with Prefer: wait: {over_http:.1} ms");
+    let (cpu_alone, cpu_over_http) = (cpu_alone / rounds as f64, cpu_over_http / rounds as f64);
+    let share = 100.0 * cpu_alone / cpu_over_http;
+    println!("CPU per rig: {cpu_alone:.1} ms in the process, {cpu_over_http:.1} ms over HTTP ({share:.1} %)");
     println!("beside the stages of the work, a request takes {extra:.1} ms (budget {BUDGET_MS} ms)");
     if extra <= BUDGET_MS { Ok(()) } else { Err("over the budget".into()) }
+}
+
+/// CPU time of this process so far. Linux tells it in hundredths of a second.
+fn cpu_ms() -> Result<f64, Box<dyn Error>> {
+    let text = std::fs::read_to_string("/proc/self/stat")?;
+    let (_, fields) = text.rsplit_once(')').ok_or("no process name")?;
+    let times = fields.split_whitespace().skip(11).take(2).map(str::parse::<f64>);
+    Ok(times.sum::<Result<f64, _>>()? * 10.0)
 }
 
 fn median(values: &mut [f64]) -> f64 {

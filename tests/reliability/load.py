@@ -2,8 +2,8 @@
 
     python3 tests/reliability/load.py [--seconds 300] [--factor 4] [--binary target/release/rigsmith]
 
-Starts the program on a port and a folder of its own, measures how long the pipeline alone takes for the load's mesh, and then
-sends uploads of 10 kB to 100 MB (most of them small, sizes log-uniform) at a fixed rate, while a reader looks at jobs ten
+Starts the program on a port and a folder of its own, measures how long the pipeline alone takes for the load's mesh, sends
+uploads of 10 kB to 100 MB (most of them small, sizes log-uniform) at a fixed rate, while a reader looks at jobs ten
 times a second and a sampler reads the process's memory. Prints one table and exits with 1 when a claim fails:
 
 - every answer is 202, 200, 429 with Retry-After, 413 or 503;
@@ -11,7 +11,9 @@ times a second and a sampler reads the process's memory. Prints one table and ex
 - every job that was taken ends `succeeded`;
 - the throughput is at least 90 % of what the pipeline alone would do on the same cores.
 
-Only the standard library. The generator needs CPU itself: on two cores it takes some from the service.
+The throughput is compared in CPU-seconds, which neither the generator nor other programs on the same cores change by much: those
+of the service from the first upload to the end of the last job, for each job, beside those that `rigsmith rig` takes for the
+same uploads (a spread of them), less its start. The share by the clock is printed too. Only the standard library.
 """
 
 from __future__ import annotations
@@ -24,6 +26,7 @@ import os
 import queue
 import random
 import re
+import resource
 import signal
 import socket
 import subprocess
@@ -43,6 +46,8 @@ READS_PER_SECOND = 10
 READ_LIMIT_MS = 50.0
 THROUGHPUT_SHARE = 0.9
 DRAIN_SECONDS = 600
+# Uploads that the pipeline alone is measured with, spread over the sizes of those that were taken.
+PLAIN_RUNS = 16
 
 
 def figure() -> bytes:
@@ -118,6 +123,10 @@ class Service:
             return 0.0
         return int(re.search(r"VmRSS:\s+(\d+)", status)[1]) / 1024
 
+    def cpu_seconds(self) -> float:
+        fields = Path(f"/proc/{self.process.pid}/stat").read_text().rsplit(")", 1)[1].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
     def stop(self) -> None:
         self.process.send_signal(signal.SIGTERM)
         try:
@@ -143,6 +152,28 @@ def pipeline_seconds(binary: Path, folder: Path, mesh: bytes) -> float:
     return min(times)
 
 
+def child_cpu_seconds(command: list) -> float:
+    """CPU-seconds of a program from its start to its end."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    subprocess.run(list(map(str, command)), cwd=ROOT, check=True, capture_output=True)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
+
+
+def plain_cpu_seconds(binary: Path, folder: Path, mesh: bytes, taken: list[tuple[int, int]]) -> float:
+    """Mean CPU-seconds of `rigsmith rig` for uploads like `taken` (number, size), less those of its start."""
+    start = min(child_cpu_seconds([binary, "methods"]) for _ in range(3))
+    by_size = sorted(taken, key=lambda upload: upload[1])
+    runs = min(PLAIN_RUNS, len(by_size))
+    spread = [by_size[int((run + 0.5) * len(by_size) / runs)] for run in range(runs)]
+    spent = []
+    for number, size in spread:
+        (folder / "figure.obj").write_bytes(body(mesh, size, number))
+        command = [binary, "rig", folder / "figure.obj", "-o", folder / "out.glb", "-o", folder / "out.rig.json"]
+        spent.append(child_cpu_seconds(command) - start)
+    return sum(spent) / len(spent)
+
+
 class Load:
     def __init__(self, service: Service, mesh: bytes, rate: float, seconds: float) -> None:
         self.service, self.mesh, self.rate, self.seconds = service, mesh, rate, seconds
@@ -150,6 +181,7 @@ class Load:
         self.answers: Counter = Counter()
         self.lock = threading.Lock()
         self.jobs: list[str] = []
+        self.taken: list[tuple[int, int]] = []
         self.wrong: list[str] = []
         self.reads_ms: list[float] = []
         self.resident: list[float] = []
@@ -192,6 +224,7 @@ class Load:
                 self.sent_bytes += len(content)
                 if status in (200, 202):
                     self.jobs.append(json.loads(answer)["id"])
+                    self.taken.append((number, size))
                 elif status == 429 and "retry-after" not in headers:
                     self.wrong.append("429 without Retry-After")
                 elif status not in (0, 413, 429, 503):
@@ -246,20 +279,23 @@ def main() -> int:
         service = Service(options.binary, folder, options.workers)
         try:
             load = Load(service, mesh, options.factor / alone, options.seconds)
-            began = time.monotonic()
+            began, before = time.monotonic(), service.cpu_seconds()
             load.run()
             states, last = ends(service, load.jobs)
+            spent = (service.cpu_seconds() - before) / max(1, len(load.jobs))
         finally:
             service.stop()
+        plain = plain_cpu_seconds(options.binary, folder, mesh, load.taken)
     p50, p99 = percentile(load.reads_ms, 0.5), percentile(load.reads_ms, 0.99)
-    share = len(load.jobs) / (last - began) * alone
+    share, share_by_clock = plain / spent, len(load.jobs) / (last - began) * alone
     lost = load.answers.pop(0, 0)
     print(f"pipeline alone: {alone:.2f} s per mesh; load: {options.factor / alone:.1f} uploads per second for {options.seconds:.0f} s")
     print(f"answers: {dict(sorted(load.answers.items()))}; connections closed before the answer was read: {lost}")
     print(f"uploaded: {load.sent_bytes / 1e6:.0f} MB; jobs taken: {len(load.jobs)}, ended {dict(states)}")
     print(f"status reads: {len(load.reads_ms)}, p50 {p50:.1f} ms, p99 {p99:.1f} ms")
     print(f"memory: {max(load.resident, default=0):.0f} MiB at most; {os.cpu_count()} cores, shared with this generator")
-    print(f"throughput: {share:.0%} of the pipeline alone")
+    print(f"CPU-seconds per job: {spent:.3f} in the service, {plain:.3f} in the pipeline alone")
+    print(f"throughput: {share:.0%} of the pipeline alone by CPU-seconds, {share_by_clock:.0%} by the clock")
     claims = [
         (not load.wrong, f"only expected answers ({load.wrong[:3]})"),
         (p99 <= READ_LIMIT_MS, f"p99 of status reads within {READ_LIMIT_MS:.0f} ms"),
