@@ -48,7 +48,9 @@ def checked(path: Path, kind: str, tensors: dict[str, np.ndarray]) -> dict[str, 
         )
     misshapen = [f"{n} is {list(tensors[n].shape)}, not {s}" for n, s in wanted.items() if list(tensors[n].shape) != s]
     if misshapen:
-        raise CheckpointError(f"{path}: {len(misshapen)} tensors have another shape: {named(misshapen)}; only RigNet's published sizes are read")
+        raise CheckpointError(
+            f"{path}: {len(misshapen)} tensors have another shape: {named(misshapen)}; only RigNet's published sizes are read"
+        )
     broken = [n for n in wanted if not np.isfinite(tensors[n]).all()]
     if broken:
         raise CheckpointError(f"{path}: {len(broken)} tensors hold values that are no numbers: {named(broken)}")
@@ -78,14 +80,14 @@ def import_network(name: str, source: Path, weights: dict[str, np.ndarray], fold
 
 
 def licence_of(ours: dict, imported: list[str], kept: list[str]) -> dict:
-    """Whose the weights in the folder are; the program prints ``weights`` with every rig."""
+    """Whose the weights in the folder are; the program names ``weights`` with every rig. HeterSkinNet at least is ours."""
     return {
-        "weights": f"{LICENCE} AND ({ours['weights']})" if kept else LICENCE,
-        "note": f"{', '.join(imported)}: converted from checkpoints that whoever made this folder holds. These weights are theirs to use under "
-        "the terms that they were published with, not Rigsmith's; Rigsmith grants nothing on them, and the folder may be passed on only as those "
-        f"terms allow. {', '.join(kept) or 'No network'}: Rigsmith's own. " + (ours["note"] if kept else ""),
-        "attributions": ["RigNet checkpoints: Xu, Zhou, Kalogerakis, Landreth and Singh 2020"] + (ours["attributions"] if kept else []),
-        "no_notice_needed": ours["no_notice_needed"] if kept else [],
+        "weights": f"{LICENCE} AND ({ours['weights']})",
+        "note": f"{', '.join(imported)}: converted from checkpoints that whoever made this folder holds. These weights are "
+        "theirs to use under the terms that they were published with, not Rigsmith's; Rigsmith grants nothing on them, and the "
+        f"folder may be passed on only as those terms allow. {', '.join(kept)}: Rigsmith's own. {ours['note']}",
+        "attributions": ["RigNet checkpoints: Xu, Zhou, Kalogerakis, Landreth and Singh 2020", *ours["attributions"]],
+        "no_notice_needed": ours["no_notice_needed"],
     }
 
 
@@ -105,8 +107,7 @@ def import_all(sources: dict[str, Path], folder: Path, base: Path = ARTIFACTS) -
         entries[name] = import_network(name, sources[kind], weights[kind], folder)
     for name in kept:
         shutil.copyfile(base / entries[name]["file"], folder / entries[name]["file"])
-    if kept:
-        shutil.copyfile(base / NOTICES, folder / NOTICES)
+    shutil.copyfile(base / NOTICES, folder / NOTICES)
     if BANDWIDTH in tensors.get("joint", {}):
         entries["rignet_displacement"][BANDWIDTH] = round(float(tensors["joint"][BANDWIDTH].item()), 6)
     manifest["licence"] = licence_of(manifest["licence"], imported, kept)

@@ -12,8 +12,8 @@ SELF_TEST_TOLERANCE = 1e-3
 FORBIDDEN_OPERATORS = {"ScatterElements", "ScatterND", "Scatter"}
 
 SHAPES = {
-    "positions": ("V", 3), "one_ring": ("V", "K1"), "geodesic_ball": ("V", "K2"), "medial_offsets": ("V", 3), "joints": ("J", 3), "pairs": ("P", 2),
-    "pair_features": ("P", 2), "bone_features": ("V", 40), "bone_mask": ("V", 5), "displacement": ("V", 3),
+    "positions": ("V", 3), "one_ring": ("V", "K1"), "geodesic_ball": ("V", "K2"), "medial_offsets": ("V", 3),
+    "joints": ("J", 3), "pairs": ("P", 2), "pair_features": ("P", 2), "bone_features": ("V", 40), "bone_mask": ("V", 5), "displacement": ("V", 3),
     "joint_features": ("J", 8), "joint_neighbours": ("J", "K3"), "links": ("V", 8), "link_mask": ("V", 8),
     "link_features": ("V", 8, 13), "joint_links": ("J", 32), "joint_mask": ("J",), "link_logit": ("V", 8),
     "attention_logit": ("V",), "bone_logit": ("P",), "root_logit": ("J",), "skin_logit": ("V", 5),

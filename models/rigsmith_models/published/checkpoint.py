@@ -8,7 +8,7 @@ readers, every other name gets :class:`Unread`, which does nothing: optimisers, 
 import pickle
 import zipfile
 from collections import OrderedDict
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
@@ -18,6 +18,7 @@ import numpy as np
 STATE = "state_dict"  # under this key a training checkpoint keeps its tensors
 STREAM_MAGIC = 0x1950A86A20F9469CFC6C
 STREAM_PROTOCOL = 1001
+BIG_ENDIAN = "its numbers are big-endian: save it again on a little-endian machine"
 ELEMENT_TYPES = {
     "FloatStorage": "<f4", "DoubleStorage": "<f8", "HalfStorage": "<f2", "LongStorage": "<i8", "IntStorage": "<i4",
     "ShortStorage": "<i2", "CharStorage": "|i1", "ByteStorage": "|u1", "BoolStorage": "|b1",
@@ -102,20 +103,22 @@ class TensorUnpickler(pickle.Unpickler):
         return Unread()
 
 
-Saved = tuple[object, Callable[[Storage], np.ndarray]]  # what the pickle holds, and where its numbers are
+Saved = tuple[object, dict[str, np.ndarray]]  # what the pickle holds, and the numbers of its storages by key
 
 
 def read_zip(path: Path) -> Saved:
-    archive = zipfile.ZipFile(path)
-    pickles = [name for name in archive.namelist() if name.endswith("/data.pkl")]
-    if len(pickles) != 1:
-        raise CheckpointError("it is a zip, but not one of torch.save: it holds no data.pkl")
-    folder = pickles[0].removesuffix("data.pkl")
-    if folder + "byteorder" in archive.namelist() and archive.read(folder + "byteorder") != b"little":
-        raise CheckpointError("its numbers are big-endian: save it again on a little-endian machine")
-    with archive.open(pickles[0]) as file:
-        saved = TensorUnpickler(file).load()
-    return saved, lambda storage: np.frombuffer(archive.read(f"{folder}data/{storage.key}"), storage.element_type, storage.count)
+    with zipfile.ZipFile(path) as archive:
+        pickles = [name for name in archive.namelist() if name.endswith("/data.pkl")]
+        if len(pickles) != 1:
+            raise CheckpointError("it is a zip, but not one of torch.save: it holds no data.pkl")
+        folder = pickles[0].removesuffix("data.pkl")
+        if folder + "byteorder" in archive.namelist() and archive.read(folder + "byteorder") != b"little":
+            raise CheckpointError(BIG_ENDIAN)
+        with archive.open(pickles[0]) as file:
+            unpickler = TensorUnpickler(file)
+            saved = unpickler.load()
+        storages = unpickler.storages.values()
+        return saved, {s.key: np.frombuffer(archive.read(f"{folder}data/{s.key}"), s.element_type, s.count) for s in storages}
 
 
 def read_stream(path: Path) -> Saved:
@@ -123,7 +126,7 @@ def read_stream(path: Path) -> Saved:
         if TensorUnpickler(file).load() != STREAM_MAGIC or TensorUnpickler(file).load() != STREAM_PROTOCOL:
             raise CheckpointError("it is no file of torch.save")
         if TensorUnpickler(file).load().get("little_endian") is not True:
-            raise CheckpointError("its numbers are big-endian: save it again on a little-endian machine")
+            raise CheckpointError(BIG_ENDIAN)
         unpickler = TensorUnpickler(file)
         saved = unpickler.load()
         numbers = {}
@@ -132,14 +135,14 @@ def read_stream(path: Path) -> Saved:
                 raise CheckpointError(f"storage {key} holds numbers of an unknown type: save the {STATE} alone, as float32")
             count, element_type = int.from_bytes(file.read(8), "little"), unpickler.storages[key].element_type
             numbers[key] = np.frombuffer(file.read(count * element_type.itemsize), element_type, count)
-    return saved, lambda storage: numbers[storage.key]
+    return saved, numbers
 
 
 def read_torch(path: Path) -> dict[str, np.ndarray]:
-    saved, numbers_of = read_zip(path) if zipfile.is_zipfile(path) else read_stream(path)
+    saved, numbers = read_zip(path) if zipfile.is_zipfile(path) else read_stream(path)
     state = saved.get(STATE, saved) if isinstance(saved, Mapping) else {}
     found = {name: tensor for name, tensor in state.items() if isinstance(name, str) and isinstance(tensor, Tensor)}
-    return {name: tensor.values(numbers_of(tensor.storage)) for name, tensor in found.items()}
+    return {name: tensor.values(numbers[tensor.storage.key]) for name, tensor in found.items()}
 
 
 def read_npz(path: Path) -> dict[str, np.ndarray]:

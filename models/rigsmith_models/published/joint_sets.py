@@ -21,7 +21,8 @@ def count(builder: GraphBuilder, x: str) -> str:
 
 def squared_distances(builder: GraphBuilder, a: str, b: str) -> str:
     """[n, 3], [m, 3] -> [n, m]."""
-    difference = builder.add("Sub", builder.add("Unsqueeze", a, builder.integers([1])), builder.add("Unsqueeze", b, builder.integers([0])))
+    rows, columns = builder.add("Unsqueeze", a, builder.integers([1])), builder.add("Unsqueeze", b, builder.integers([0]))
+    difference = builder.add("Sub", rows, columns)
     return builder.add("ReduceSum", builder.add("Mul", difference, difference), builder.integers([2]), keepdims=0)
 
 
@@ -44,13 +45,16 @@ def farthest_points(builder: GraphBuilder, distances: str, ratio: float) -> str:
         ],
         "farthest_point",
         [
-            helper.make_tensor_value_info("step", TensorProto.INT64, []), helper.make_tensor_value_info("go_on", TensorProto.BOOL, []),
-            helper.make_tensor_value_info("nearest", TensorProto.FLOAT, ["n"]), helper.make_tensor_value_info("pick", TensorProto.INT64, []),
+            helper.make_tensor_value_info("step", TensorProto.INT64, []),
+            helper.make_tensor_value_info("go_on", TensorProto.BOOL, []),
+            helper.make_tensor_value_info("nearest", TensorProto.FLOAT, ["n"]),
+            helper.make_tensor_value_info("pick", TensorProto.INT64, []),
         ],
         [
             helper.make_tensor_value_info("go_on_next", TensorProto.BOOL, []),
             helper.make_tensor_value_info("nearest_next", TensorProto.FLOAT, ["n"]),
-            helper.make_tensor_value_info("pick_next", TensorProto.INT64, []), helper.make_tensor_value_info("picked", TensorProto.INT64, []),
+            helper.make_tensor_value_info("pick_next", TensorProto.INT64, []),
+            helper.make_tensor_value_info("picked", TensorProto.INT64, []),
         ],
     )
     return builder.add("Loop", picks, "", unpicked, first, outputs=3, body=body)[2]
@@ -73,7 +77,8 @@ def set_abstraction(
     same_number = builder.add("Cast", builder.add("EyeLike", rows, dtype=TensorProto.INT64), to=TensorProto.BOOL)
     neighbours = builder.add("Unsqueeze", builder.add("Or", within, same_number), builder.integers([2]))
 
-    message = builder.add("Sub", builder.add("Unsqueeze", points, builder.integers([0])), builder.add("Unsqueeze", targets, builder.integers([1])))
+    every_point = builder.add("Unsqueeze", points, builder.integers([0]))
+    message = builder.add("Sub", every_point, builder.add("Unsqueeze", targets, builder.integers([1])))
     size = builder.add("Shape", rows)
     if features is not None:
         every = builder.add("Expand", features, builder.add("Concat", size, builder.integers([channels[0] - 3]), axis=0))
@@ -95,7 +100,8 @@ def interpolated(builder: GraphBuilder, points: str, features: str, targets: str
     neighbours = builder.add("Min", builder.integers([INTERPOLATION_POINTS]), count(builder, points))
     nearest, index = builder.add("TopK", distances, neighbours, outputs=2, axis=1, largest=0)
     weight = builder.add("Reciprocal", builder.add("Max", nearest, builder.number(SQUARED_DISTANCE_MIN)))
-    weighted = builder.add("Mul", builder.add("Gather", features, index, axis=0), builder.add("Unsqueeze", weight, builder.integers([2])))
+    near = builder.add("Gather", features, index, axis=0)
+    weighted = builder.add("Mul", near, builder.add("Unsqueeze", weight, builder.integers([2])))
     total = builder.add("ReduceSum", weight, builder.integers([1]), keepdims=1)
     return builder.add("Div", builder.add("ReduceSum", weighted, builder.integers([1]), keepdims=0), total)
 

@@ -85,7 +85,8 @@ def bone(builder: GraphBuilder) -> str:
         builder, "joints", None, "joint_encoder.sa1_module_joints.conv.local_nn", 0.999, 0.4, [3, 64, 64, 128])
     points, features = joint_sets.set_abstraction(
         builder, points, features, "joint_encoder.sa2_module_joints.conv.local_nn", 0.33, 0.6, [131, 128, 128, 256])
-    joint_code = joint_sets.global_abstraction(builder, points, features, "joint_encoder.sa3_module_joints.nn", [259, 256, 256, 512, 256, 128])
+    joint_code = joint_sets.global_abstraction(
+        builder, points, features, "joint_encoder.sa3_module_joints.nn", [259, 256, 256, 512, 256, 128])
     ends = builder.add("Reshape", builder.add("Gather", "joints", "pairs", axis=0), builder.integers([-1, 6]))
     pair_code = builder.perceptron(builder.add("Concat", ends, "pair_features", axis=1), "expand_joint_feature.0", [8, 32, 64, 128, 256])
     codes = builder.add("Concat", shape_code(builder, [448, 256, 64]), joint_code, axis=1)
