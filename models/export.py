@@ -16,11 +16,10 @@ from pathlib import Path
 
 import numpy as np
 import onnx
-import onnxruntime
 import torch
 from onnx import TensorProto, helper, numpy_helper
 
-from rigsmith_models import known_answer
+from rigsmith_models.artifact import FORBIDDEN_OPERATORS, INDICES, SHAPES, described, self_test, session
 from rigsmith_models.committee import Committee
 from rigsmith_models.folding import folded
 from rigsmith_models.networks import NETWORKS
@@ -33,11 +32,8 @@ MANIFEST = ARTIFACTS / "manifest.json"
 OPSET = 18
 HALF_STORED_MIN = 256  # initialisers with at least so many numbers are stored as float16
 FILE_BYTES_MAX, FOLDER_BYTES_MAX = 16 << 20, 20 << 20
-FORBIDDEN_OPERATORS = {"ScatterElements", "ScatterND", "Scatter"}
 PARITY_TOLERANCE = 1e-4  # of the float32 graph against PyTorch
 MASKED = -1e3  # logits below it stand for an empty slot
-SELF_TEST_VALUES = 16
-SELF_TEST_TOLERANCE = 1e-3
 
 # Until evaluate.py --calibrate has run: the measured defaults of the design.
 UNTUNED_CALIBRATION = {
@@ -45,14 +41,6 @@ UNTUNED_CALIBRATION = {
     "attention_power": 1.0, "mode_density_min": 0.01, "suppression_displacement": 0.5, "middle_max": 0.02,
 }
 
-SHAPES = {
-    "positions": ("V", 3), "one_ring": ("V", "K1"), "geodesic_ball": ("V", "K2"), "medial_offsets": ("V", 3), "joints": ("J", 3), "pairs": ("P", 2),
-    "pair_features": ("P", 2), "bone_features": ("V", 40), "bone_mask": ("V", 5), "displacement": ("V", 3),
-    "joint_features": ("J", 8), "joint_neighbours": ("J", "K3"), "links": ("V", 8), "link_mask": ("V", 8),
-    "link_features": ("V", 8, 13), "joint_links": ("J", 32), "joint_mask": ("J",), "link_logit": ("V", 8),
-    "attention_logit": ("V",), "bone_logit": ("P",), "root_logit": ("J",), "skin_logit": ("V", 5),
-}
-INDICES = {"one_ring": "V", "geodesic_ball": "V", "pairs": "J", "joint_neighbours": "J", "links": "J", "joint_links": "L"}  # of what
 LINKS_PER_VERTEX = 8
 
 
@@ -119,12 +107,6 @@ def store_as_half(model: onnx.ModelProto) -> None:
         model.graph.node.insert(0, cast)
 
 
-def session(path: Path) -> onnxruntime.InferenceSession:
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = 1
-    return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
-
-
 def parity(network, path: Path) -> float:
     """Largest difference between the graph and PyTorch over sizes that the export did not see, over the outputs' usual size."""
     run = session(path)
@@ -136,19 +118,6 @@ def parity(network, path: Path) -> float:
         usual = max(1.0, float(np.median(np.abs(expected[expected > MASKED]))))
         worst = max(worst, float(np.abs(run.run(None, feed)[0] - expected).max()) / usual)
     return worst
-
-
-def self_test(path: Path, names, output: str) -> dict:
-    """Outputs of the shipped file on the known-answer inputs (models/artifacts/README.md)."""
-    values = session(path).run(None, known_answer.inputs(names))[0].astype(np.float64)
-    return {
-        "output": output, "first": [round(float(v), 7) for v in values.reshape(-1)[:SELF_TEST_VALUES]],
-        "mean": round(float(values.mean()), 7), "std": round(float(values.std()), 7), "tolerance": SELF_TEST_TOLERANCE,
-    }
-
-
-def described(names) -> list[dict]:
-    return [{"name": n, "dtype": "int64" if n in INDICES else "float32", "shape": list(SHAPES[n])} for n in names]
 
 
 def training_record(name: str, run: Path, record: dict) -> dict:

@@ -11,8 +11,8 @@ Inputs besides the weights: ``positions`` f32 [V, 3], ``one_ring`` i64 [V, K1] a
 itself and every u with an edge u -> v, padded with v), for skin also ``bone_features`` f32 [V, 40] (the reference's, not
 clamped). Outputs: ``displacement`` [V, 3], ``attention_logit`` [V, 1], ``skin_logit`` [V, 5].
 
-The graphs are in the naive order (a message is normalised before the maximum), so they also serve as the oracle of the
-folded graphs that ship. Opset 18, no scatter.
+The graphs (``rigsmith_models/published``) are in the naive order, so they also serve as the oracle of the folded graphs that
+ship.
 """
 
 import argparse
@@ -21,131 +21,29 @@ from pathlib import Path
 
 import numpy as np
 import onnx
-from onnx import TensorProto, helper, numpy_helper
+
+from rigsmith_models.published import networks
+from rigsmith_models.published.graph_builder import GraphBuilder
 
 HERE = Path(__file__).parent
 OUTPUT = HERE.parent / "tests" / "golden"
-BATCH_NORM_EPSILON = 1e-5
 TOLERANCE = 0.01  # of the standard deviation of the reference output
 REFERENCE_OUTPUTS = {"displacement": "net_joint_displacement", "attention": "net_attention_logit", "skin": "net_skin_logit"}
 
 
-class GraphBuilder:
-    """Adds nodes; every method takes and returns tensor names. Weights become graph inputs when first used."""
-
-    def __init__(self):
-        self.nodes, self.inputs, self.constants = [], {}, {}
-
-    def add(self, operator: str, *inputs: str, outputs: int = 1, **attributes):
-        names = [f"{operator.lower()}_{len(self.nodes)}_{k}" for k in range(outputs)]
-        self.nodes.append(helper.make_node(operator, list(inputs), names, **attributes))
-        return names[0] if outputs == 1 else names
-
-    def input(self, name: str, shape: list, kind=TensorProto.FLOAT) -> str:
-        self.inputs[name] = helper.make_tensor_value_info(name, kind, shape)
-        return name
-
-    def integers(self, values: list[int]) -> str:
-        name = "integers_" + "_".join(str(v).replace("-", "m") for v in values)
-        self.constants[name] = numpy_helper.from_array(np.array(values, np.int64), name)
-        return name
-
-    def split(self, x: str, sizes: list[int], axis: int) -> list[str]:
-        return self.add("Split", x, self.integers(sizes), outputs=len(sizes), axis=axis)
-
-    def linear(self, x: str, name: str, channels_in: int, channels_out: int) -> str:
-        weight = self.input(f"{name}.weight", [channels_out, channels_in])
-        return self.add("Gemm", x, weight, self.input(f"{name}.bias", [channels_out]), transB=1)
-
-    def batch_norm(self, x: str, name: str, channels: int) -> str:
-        parts = (self.input(f"{name}.{p}", [channels]) for p in ("weight", "bias", "running_mean", "running_var"))
-        return self.add("BatchNormalization", x, *parts, epsilon=BATCH_NORM_EPSILON)
-
-    def dense(self, x: str, linear: str, norm: str, channels_in: int, channels_out: int) -> str:
-        """Linear -> ReLU -> BatchNorm."""
-        return self.batch_norm(self.add("Relu", self.linear(x, linear, channels_in, channels_out)), norm, channels_out)
-
-    def perceptron(self, x: str, name: str, channels: list[int]) -> str:
-        for k, (a, b) in enumerate(zip(channels[:-1], channels[1:])):
-            x = self.dense(x, f"{name}.{k}.0", f"{name}.{k}.2", a, b)
-        return x
-
-    def edge_convolution(self, x: str, neighbours: str, name: str, channels_in: int, channels_out: int) -> str:
-        """max over u of MLP(x_v, x_u - x_v), the first layer split into its part on x_v and its part on x_u."""
-        weight = self.input(f"{name}.0.0.weight", [channels_out, 2 * channels_in])
-        own, offset = self.split(weight, [channels_in, channels_in], axis=1)
-        own = self.add("Gemm", x, self.add("Sub", own, offset), self.input(f"{name}.0.0.bias", [channels_out]), transB=1)
-        other = self.add("Gather", self.add("Gemm", x, offset, transB=1), neighbours, axis=0)
-        message = self.add("Relu", self.add("Add", self.add("Unsqueeze", own, self.integers([1])), other))
-        flat = self.add("Reshape", message, self.integers([-1, channels_out]))
-        flat = self.batch_norm(flat, f"{name}.0.2", channels_out)
-        flat = self.dense(flat, f"{name}.1.0", f"{name}.1.2", channels_out, channels_out)
-        rows = self.add("Concat", self.add("Shape", neighbours), self.integers([channels_out]), axis=0)
-        return self.add("ReduceMax", self.add("Reshape", flat, rows), self.integers([1]), keepdims=0)
-
-    def gm_edge_convolution(self, x: str, name: str, channels_in: int, channels_out: int) -> str:
-        half = channels_out // 2
-        ring = self.edge_convolution(x, "one_ring", f"{name}.edge_conv_tpl.nn", channels_in, half)
-        ball = self.edge_convolution(x, "geodesic_ball", f"{name}.edge_conv_geo.nn", channels_in, half)
-        return self.perceptron(self.add("Concat", ring, ball, axis=1), f"{name}.mlp", [channels_out, channels_out])
-
-    def global_maximum(self, x: str) -> str:
-        return self.add("ReduceMax", x, self.integers([0]), keepdims=1)
-
-    def head_layer(self, local: str, code: str, name: str, code_first: bool, local_size: int, code_size: int, out: int):
-        """A linear layer over [code | local] or [local | code], where the code is one row for the whole mesh."""
-        sizes = [code_size, local_size] if code_first else [local_size, code_size]
-        parts = self.split(self.input(f"{name}.weight", [out, code_size + local_size]), sizes, axis=1)
-        of_code, of_local = parts if code_first else reversed(parts)
-        constant = self.add("Gemm", code, of_code, self.input(f"{name}.bias", [out]), transB=1)
-        return self.add("Add", self.add("Gemm", local, of_local, transB=1), constant)
-
-    def model(self, result: str, output: str, channels: int) -> onnx.ModelProto:
-        self.nodes.append(helper.make_node("Identity", [result], [output]))
-        outputs = [helper.make_tensor_value_info(output, TensorProto.FLOAT, ["V", channels])]
-        graph = helper.make_graph(self.nodes, output, list(self.inputs.values()), outputs, list(self.constants.values()))
-        model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], producer_name="rigsmith")
-        model.ir_version = 10
-        onnx.checker.check_model(model, full_check=True)
-        return model
-
-
-def shape_inputs(builder: GraphBuilder) -> None:
-    builder.input("positions", ["V", 3])
-    builder.input("one_ring", ["V", "K1"], TensorProto.INT64)
-    builder.input("geodesic_ball", ["V", "K2"], TensorProto.INT64)
-
-
 def joint_network(prefix: str, output: str, channels: int) -> onnx.ModelProto:
-    """RigNet, Section 4.1, Table 6; ``prefix`` is ``jointnet`` or ``masknet``."""
+    """``prefix`` is ``jointnet`` or ``masknet``."""
     builder = GraphBuilder()
-    shape_inputs(builder)
-    x1 = builder.gm_edge_convolution("positions", f"{prefix}.gcu_1", 3, 64)
-    x2 = builder.gm_edge_convolution(x1, f"{prefix}.gcu_2", 64, 256)
-    x3 = builder.gm_edge_convolution(x2, f"{prefix}.gcu_3", 256, 512)
-    code = builder.perceptron(builder.add("Concat", x1, x2, x3, axis=1), f"{prefix}.mlp_glb", [832, 1024])
-    local = builder.add("Concat", "positions", x1, x2, x3, axis=1)
-    head = f"{prefix}.mlp_tramsform"
-    hidden = builder.head_layer(local, builder.global_maximum(code), f"{head}.0.0.0", True, 835, 1024, 1024)
-    hidden = builder.batch_norm(builder.add("Relu", hidden), f"{head}.0.0.2", 1024)
-    hidden = builder.dense(hidden, f"{head}.0.1.0", f"{head}.0.1.2", 1024, 256)
-    result = builder.linear(hidden, f"{head}.2", 256, channels)
-    return builder.model(builder.add("Tanh", result) if output == "displacement" else result, output, channels)
+    networks.shape_inputs(builder)
+    result = networks.joint_head(builder, prefix, channels)
+    return builder.model(builder.add("Tanh", result) if output == "displacement" else result, output, ["V", channels])
 
 
 def skin_network() -> onnx.ModelProto:
-    """RigNet, Section 4.3, Table 6, 5 bones of 8 numbers."""
     builder = GraphBuilder()
-    shape_inputs(builder)
-    builder.input("bone_features", ["V", 40])
-    embedded = builder.perceptron(builder.add("Concat", "positions", "bone_features", axis=1), "multi_layer_tranform1", [43, 128, 64])
-    x1 = builder.gm_edge_convolution(embedded, "gcu1", 64, 512)
-    code = builder.global_maximum(builder.perceptron(x1, "multi_layer_tranform2", [512, 512, 1024]))
-    x3 = builder.gm_edge_convolution(builder.gm_edge_convolution(x1, "gcu2", 512, 256), "gcu3", 256, 256)
-    hidden = builder.head_layer(x3, code, "cls_branch.0", False, 256, 1024, 1024)
-    hidden = builder.batch_norm(builder.add("Relu", hidden), "cls_branch.2", 1024)
-    hidden = builder.dense(hidden, "cls_branch.3", "cls_branch.5", 1024, 512)
-    return builder.model(builder.linear(hidden, "cls_branch.6", 512, 5), "skin_logit", 5)
+    networks.shape_inputs(builder)
+    result = networks.skin_head(builder, builder.input("bone_features", ["V", 40]))
+    return builder.model(result, "skin_logit", ["V", 5])
 
 
 def rule_tensor(number: int, name: str, shape: list[int]) -> np.ndarray:
