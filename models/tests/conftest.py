@@ -25,8 +25,13 @@ def stick_figure(seed: int, vertex_count: int = 90) -> Character:
     middle = 0.5 * (joints[ends[:, 0]] + joints[ends[:, 1]])
     weights = np.zeros((vertex_count, len(joints)), np.float16)
     weights[np.arange(vertex_count), owner] = 1
+    links = np.stack([np.roll(np.arange(8), -v) % len(joints) for v in range(vertex_count)]).astype(np.uint8)
+    mask = np.ones((vertex_count, 8), bool)
+    mask[:, 7] = False  # seven joints: the eighth link is empty
     return Character(
-        positions=positions, one_ring=near[:, 1:7], geodesic_ball=near[:, 1:15], joints=joints, parents=parents,
+        links=links, link_mask=mask, link_features=rng.uniform(0.05, 1.0, (vertex_count, 8, 13)).astype(np.float16),
+        joint_features=rng.normal(0, 0.3, (len(joints), 8)).astype(np.float32),
+        positions=positions, medial_offsets=(joints[owner] - positions) * 0.5, one_ring=near[:, 1:7], geodesic_ball=near[:, 1:15], joints=joints, parents=parents,
         skin_weights=weights, attention_mask=rng.random(vertex_count) < 0.4, tolerance=np.full(len(joints), 0.06, np.float32),
         inside_share=rng.random(21).astype(np.float32), bone_ends=ends,
         bone_distance=np.linalg.norm(positions[:, None] - middle, axis=2).astype(np.float16),

@@ -24,8 +24,8 @@ def run(name: str, feed: dict) -> np.ndarray:
     return session.run(None, feed)[0]
 
 
-def test_the_five_networks_of_rignet_are_there():
-    assert set(NETWORKS) == {f"rignet_{n}" for n in ("displacement", "attention", "bone", "root", "skin")}
+def test_the_five_networks_of_rignet_and_heter_skin_net_are_there():
+    assert set(NETWORKS) == {f"rignet_{n}" for n in ("displacement", "attention", "bone", "root", "skin")} | {"heter_skin_net"}
 
 
 def test_all_files_together_are_small_enough_for_the_repository():
@@ -79,7 +79,7 @@ def test_the_known_answer_comes_out(name):
 def test_padding_a_neighbour_row_with_its_own_vertex_changes_nothing(name):
     feed = known_answer.inputs([i["name"] for i in NETWORKS[name]["inputs"]])
     padded = dict(feed)
-    for table in ("one_ring", "geodesic_ball"):
+    for table in {"one_ring", "geodesic_ball", "joint_neighbours"} & feed.keys():
         padded[table] = np.concatenate([feed[table], np.repeat(feed[table][:, :1], 5, axis=1)], axis=1)
     np.testing.assert_allclose(run(name, feed), run(name, padded), rtol=0, atol=1e-5)
 
@@ -90,11 +90,13 @@ def test_the_order_of_the_vertices_does_not_matter(name):
     order = np.random.default_rng(0).permutation(known_answer.VERTEX_COUNT)
     place = np.argsort(order)
     shuffled = dict(feed)
-    for key in ("positions", "bone_features", "bone_mask"):
-        if key in feed:
-            shuffled[key] = feed[key][order]
-    for key in ("one_ring", "geodesic_ball"):
+    for key in {"positions", "medial_offsets", "bone_features", "bone_mask", "links", "link_mask", "link_features"} & feed.keys():
+        shuffled[key] = feed[key][order]
+    for key in {"one_ring", "geodesic_ball"} & feed.keys():
         shuffled[key] = place[feed[key]][order]
+    if "joint_links" in feed:
+        vertex, slot = np.divmod(feed["joint_links"], known_answer.LINKS)
+        shuffled["joint_links"] = place[vertex] * known_answer.LINKS + slot
     expected = run(name, feed)
     if NETWORKS[name]["outputs"][0]["shape"][0] == "V":
         expected = expected[order]

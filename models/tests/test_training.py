@@ -9,7 +9,7 @@ from rigsmith_models.data import write_cache  # noqa: E402
 from rigsmith_models.data.sampling import Pool  # noqa: E402
 from rigsmith_models.folding import folded  # noqa: E402
 from rigsmith_models.layers import EdgeConv  # noqa: E402
-from rigsmith_models.rignet import NETWORKS  # noqa: E402
+from rigsmith_models.networks import NETWORKS  # noqa: E402
 from rigsmith_models.train.trainer import TRAINED, Run, Settings  # noqa: E402
 
 import export  # noqa: E402
@@ -79,7 +79,7 @@ class NaiveEdgeConv(torch.nn.Module):
 def test_the_folded_network_is_the_naive_one(name, width):
     torch.manual_seed(0)
     network = unsettled(NETWORKS[name](width, "batch"))
-    feed = export.random_inputs(network.inputs, 5, {"V": 150, "K1": 8, "K2": 11, "J": 12, "P": 66})
+    feed = export.random_inputs(network.inputs, 5, {"V": 150, "K1": 8, "K2": 11, "K3": 5, "J": 12, "P": 66})
     inputs = [torch.from_numpy(feed[n]) for n in network.inputs]
     exported = folded(network)
     for label, module in list(network.named_modules()):
@@ -102,9 +102,10 @@ def test_the_exported_graph_gives_what_pytorch_gives_at_sizes_it_was_not_traced_
 def test_characters_of_a_batch_do_not_see_each_other(name):
     torch.manual_seed(0)
     network = unsettled(NETWORKS[name](0.25, "batch"))
-    sizes = {"V": 60, "K1": 6, "K2": 9, "J": 5, "P": 10}
+    sizes = {"V": 60, "K1": 6, "K2": 9, "K3": 4, "J": 5, "P": 10}
     feeds = [export.random_inputs(network.inputs, seed, sizes) for seed in (1, 2)]
-    shift = {"one_ring": sizes["V"], "geodesic_ball": sizes["V"], "pairs": sizes["J"]}
+    shift = {"one_ring": sizes["V"], "geodesic_ball": sizes["V"], "pairs": sizes["J"], "joint_neighbours": sizes["J"],
+             "links": sizes["J"], "joint_links": sizes["V"] * export.LINKS_PER_VERTEX}
     both = [torch.from_numpy(np.concatenate([feeds[0][n], feeds[1][n] + shift.get(n, 0)]).astype(feeds[0][n].dtype)) for n in network.inputs]
     with torch.no_grad():
         alone = torch.cat([network(*(torch.from_numpy(f[n]) for n in network.inputs)) for f in feeds])
