@@ -5,6 +5,8 @@
 mod engines;
 #[path = "jobs_store/keeping.rs"]
 mod keeping;
+#[path = "jobs_store/many.rs"]
+mod many;
 #[path = "jobs_store/sqlite_file.rs"]
 mod sqlite_file;
 #[path = "jobs_store/taking.rs"]
@@ -66,3 +68,4 @@ macro_rules! all_rules_on {
 }
 
 all_rules_on!(sqlite);
+all_rules_on!(postgres);
