@@ -3,7 +3,7 @@
     python3 tests/postgres.py -- cargo test --release --test it jobs_store
 
 makes a cluster with the programs of Debian's `postgresql` package (or those on PATH, or in the folder named by
-PG_BIN), starts it on a free port, runs the command with RIGSMITH_TEST_POSTGRES set to its address, stops the server,
+PG_BIN), starts it on a free port, runs the command with TEST_POSTGRES_URL set to its address, stops the server,
 and ends with the command's status. Root runs the server as the user `postgres`, since PostgreSQL refuses root.
 """
 
@@ -21,7 +21,7 @@ import tempfile
 import time
 from pathlib import Path
 
-VARIABLE = "RIGSMITH_TEST_POSTGRES"
+VARIABLE = "TEST_POSTGRES_URL"
 # Nothing of a test outlives it, so nothing needs to be on the disk; many tests run at once.
 FOR_TESTS = {"fsync": "off", "synchronous_commit": "off", "full_page_writes": "off", "max_connections": "400"}
 

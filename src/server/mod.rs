@@ -8,7 +8,7 @@ mod quota;
 mod run;
 
 pub use connections::ConnectionLimits;
-pub use run::{ServeError, run, serve, stop_signal};
+pub use run::{ServeError, run, serve, stop_signal, work};
 
 use self::keys::Keys;
 use self::quota::Buckets;

@@ -2,7 +2,7 @@
 //! own in `jobs_store/engines.rs` and one line below.
 
 #[path = "jobs_store/engines.rs"]
-mod engines;
+pub mod engines;
 #[path = "jobs_store/keeping.rs"]
 mod keeping;
 #[path = "jobs_store/many.rs"]

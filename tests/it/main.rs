@@ -1,6 +1,7 @@
 //! All integration tests, linked once. One module per claim-bearing area.
 
 mod architecture;
+mod bucket;
 mod examples;
 mod formats_decode;
 mod formats_gltf;
@@ -15,4 +16,6 @@ mod metamorphic;
 mod operation;
 mod pipeline;
 mod program;
+#[path = "../stand_ins/s3.rs"]
+mod s3;
 mod skin;

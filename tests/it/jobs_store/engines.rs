@@ -42,7 +42,7 @@ pub async fn sqlite() -> Bench {
 
 /// A database of its own on the server that `tests/postgres.py` starts.
 pub async fn postgres_url() -> String {
-    let server = std::env::var("RIGSMITH_TEST_POSTGRES").expect(
+    let server = std::env::var("TEST_POSTGRES_URL").expect(
         "these tests need PostgreSQL: run them by `python3 tests/postgres.py -- cargo test --release`, as `make test` does",
     );
     let name = format!("test_{}", JobId::new());

@@ -122,6 +122,24 @@ async fn blobs_that_are_being_named_are_not_forgotten() {
     }
 }
 
+/// The same for results: equal files that nothing needs any more are forgotten while a job ends with them.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn results_that_are_being_named_are_not_forgotten() {
+    let bench = postgres().await;
+    let mut last = None;
+    for round in 0..20 {
+        let id = bench.add(NewJob { use_cache: false, ..bench.new_job(&format!("{round}")) }).await;
+        let claim = bench.take().await;
+        if let Some(last) = last.replace(id) {
+            bench.store.delete(&alice(), last).await.expect("answers");
+        }
+        let (ended, _) = tokio::join!(bench.second.finish(claim.lease, bench.good("same")), bench.store.collect());
+        ended.expect("answers");
+        let made = bench.job(id).await.result.expect("a result").artifacts[0].sha256;
+        assert!(bench.store.blob(&made).await.expect("answers").is_some(), "its file is there");
+    }
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn two_processes_that_sweep_at_once_count_a_loss_once() {
     let bench = postgres().await;

@@ -1,6 +1,6 @@
 //! How jobs end: by their work, by request, or not at all.
 
-use super::{Columns, Connection, append, rows, sql};
+use super::{Columns, Connection, Lock, append, rows, sql};
 use crate::jobs::clock::Timestamp;
 use crate::jobs::event::EventKind;
 use crate::jobs::failure::JobError;
@@ -16,6 +16,9 @@ pub async fn finish(
     ending: &Ending,
     now: Timestamp,
 ) -> Result<Finish, StoreFailure> {
+    if ending.outcome.is_ok() {
+        connection.lock(Lock::Naming).await?;
+    }
     let held = sql(
         "UPDATE jobs SET stage = coalesce($1, stage), timings = $2 WHERE id = $3 AND attempt = $4 AND state = 'running' \
          RETURNING retention_ms",

@@ -22,10 +22,12 @@ pub struct Place {
 /// job goes with the first jobs of the others, counted after those that run; among equals the caller served longest ago
 /// goes first.
 const WAITING: &str = "WITH running AS (SELECT caller, count(*) AS jobs FROM jobs WHERE state = 'running' GROUP BY caller), \
-     waiting AS (SELECT jobs.id, jobs.priority, coalesce(callers.served, 0) AS served, \
+     waiting AS (SELECT jobs.id, jobs.priority, jobs.memory_bytes, coalesce(callers.served, 0) AS served, \
      row_number() OVER (PARTITION BY jobs.priority, jobs.caller ORDER BY jobs.id) + coalesce(running.jobs, 0) AS turn \
      FROM jobs LEFT JOIN running ON running.caller = jobs.caller LEFT JOIN callers ON callers.name = jobs.caller \
-     WHERE jobs.state = 'queued') ";
+     WHERE jobs.state = 'queued')";
+/// Jobs that several processes may be taking at the same moment; one more looks again.
+const AT_ONCE: usize = 100;
 const ORDER: &str = "ORDER BY waiting.priority DESC, waiting.turn, waiting.served, waiting.id";
 
 /// The jobs that wait, the next one first.
@@ -57,9 +59,12 @@ async fn first_that_needs_at_most<C: Connection>(
     connection: &mut C,
     memory_bytes: u64,
 ) -> Result<Option<Place>, StoreFailure> {
+    // The first few are found before they are locked, so that no plan compares all that wait with all that wait.
     let query = format!(
-        "{WAITING} SELECT jobs.id, jobs.memory_bytes, jobs.queued_at FROM waiting JOIN jobs ON jobs.id = waiting.id \
-         WHERE jobs.state = 'queued' AND jobs.memory_bytes <= $1 {ORDER} LIMIT 1{}",
+        "{WAITING}, first AS MATERIALIZED (SELECT waiting.id, row_number() OVER ({ORDER}) AS place FROM waiting \
+         WHERE waiting.memory_bytes <= $1 ORDER BY place LIMIT {AT_ONCE}) \
+         SELECT jobs.id, jobs.memory_bytes, jobs.queued_at FROM first JOIN jobs ON jobs.id = first.id \
+         WHERE jobs.state = 'queued' ORDER BY first.place LIMIT 1{}",
         C::FOR_UPDATE_SKIP_LOCKED
     );
     let row = sql(AssertSqlSafe(query)).bind(int(memory_bytes)).optional(connection).await?;
