@@ -14,11 +14,12 @@
 
 mod effective;
 mod file;
+mod node;
 
 pub use effective::{Origin, Setting, effective, to_toml, unknown_variables};
 pub use file::{ConfigError, ConfigFile, nearest};
+pub use node::{NodeConfig, WorkerConfig};
 
-use crate::telemetry::LogFormat;
 use clap::builder::BoolishValueParser;
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -71,14 +72,6 @@ pub struct ServeConfig {
     #[arg(long, env = "RIGSMITH_KEY_UPLOAD_MIB_PER_HOUR", value_name = "MIB", default_value_t = 10_240, value_parser = clap::value_parser!(u64).range(1..))]
     pub key_upload_mib_per_hour: u64,
 
-    /// Folder for uploads and results while they are needed; made when missing
-    #[arg(long, env = "RIGSMITH_DATA", value_name = "DIR", default_value = "data")]
-    pub data: PathBuf,
-
-    /// Jobs that run at the same time; no more than there are cores
-    #[arg(long, env = "RIGSMITH_WORKERS", value_name = "N", default_value_t = 1, value_parser = at_least_one)]
-    pub workers: usize,
-
     /// Jobs that may wait; one more is refused with 429
     #[arg(long, env = "RIGSMITH_QUEUE", value_name = "N", default_value_t = 100, value_parser = at_least_one)]
     pub queue: usize,
@@ -115,50 +108,15 @@ pub struct ServeConfig {
     #[arg(long, env = "RIGSMITH_DOWNLOAD_PAUSE_SECONDS", value_name = "SECONDS", default_value_t = 60, value_parser = clap::value_parser!(u64).range(1..))]
     pub download_pause_seconds: u64,
 
-    /// Most MiB of memory that all running jobs together may take; by default 2048 for each worker, and no more than three
-    /// quarters of what there is
-    #[arg(long, env = "RIGSMITH_MEMORY_MIB", value_name = "MIB", value_parser = clap::value_parser!(u64).range(256..))]
-    pub memory_mib: Option<u64>,
-
-    /// Longest run of one job in seconds
-    #[arg(long, env = "RIGSMITH_JOB_SECONDS", value_name = "SECONDS", default_value_t = 300)]
-    pub job_seconds: u64,
-
-    /// Hours that results are kept after a job has finished
-    #[arg(long, env = "RIGSMITH_KEEP_HOURS", value_name = "HOURS", default_value_t = 24)]
-    pub keep_hours: u64,
-
-    /// Most MiB of uploads and results kept; the oldest results go first
-    #[arg(long, env = "RIGSMITH_KEEP_MIB", value_name = "MIB", default_value_t = 10_240)]
-    pub keep_mib: u64,
-
-    /// Seconds that running jobs get to finish when the service is asked to stop
-    #[arg(long, env = "RIGSMITH_GRACE_SECONDS", value_name = "SECONDS", default_value_t = 30)]
-    pub grace_seconds: u64,
-
-    /// Address of Prometheus metrics, at /metrics; none unless given, since they tell what runs here
-    #[arg(long, env = "RIGSMITH_METRICS_LISTEN", value_name = "ADDR")]
-    pub metrics_listen: Option<SocketAddr>,
-
-    /// Send OpenTelemetry traces to this collector (OTLP over HTTP), as in http://127.0.0.1:4318; nothing is sent unless given
-    #[arg(long, env = "RIGSMITH_OTLP_ENDPOINT", value_name = "URL")]
-    pub otlp_endpoint: Option<String>,
-
-    /// Headers for the collector, as in `authorization=Bearer abc,x-team=rigs`
-    #[arg(long, env = "RIGSMITH_OTLP_HEADERS", value_name = "NAME=VALUE,…", hide_env_values = true)]
-    pub otlp_headers: Option<String>,
-
-    /// How log lines look
-    #[arg(long, env = "RIGSMITH_LOG_FORMAT", value_enum, default_value_t)]
-    pub log_format: LogFormat,
-
-    /// What is logged, as in `info` or `rigsmith=debug,warn`
-    #[arg(long, env = "RIGSMITH_LOG", value_name = "FILTER", default_value = "info,ort=warn")]
-    pub log: String,
+    #[command(flatten)]
+    pub node: NodeConfig,
 }
 
 /// Settings that are shown masked.
 const SECRETS: &[&str] = &["otlp_headers"];
+
+/// Settings whose value is a URL; a password in it is shown masked.
+const URLS: &[&str] = &["database", "storage", "otlp_endpoint"];
 
 fn at_least_one(text: &str) -> Result<usize, String> {
     match text.parse() {
@@ -195,7 +153,16 @@ mod tests {
             let variable = format!("RIGSMITH_{}", name.to_uppercase());
             assert_eq!(setting.get_env().and_then(|env| env.to_str()), Some(variable.as_str()));
             assert_eq!(setting.get_long(), Some(name.replace('_', "-").as_str()));
-            let off = ["config", "keys", "memory_mib", "metrics_listen", "otlp_endpoint", "otlp_headers"];
+            let off = [
+                "config",
+                "keys",
+                "memory_mib",
+                "metrics_listen",
+                "otlp_endpoint",
+                "otlp_headers",
+                "database",
+                "storage",
+            ];
             assert_eq!(off.contains(&name), setting.get_default_values().is_empty(), "{name}");
         }
     }
@@ -210,7 +177,7 @@ mod tests {
         let file = file.expect("reads");
         let matches = layer(command(), &file).get_matches_from(["serve", "--queue", "9"]);
         let config = ServeConfig::from_arg_matches(&matches).expect("valid");
-        assert_eq!((config.workers, config.queue, config.uploads, config.allow_anonymous), (3, 9, 32, true));
+        assert_eq!((config.node.workers, config.queue, config.uploads, config.allow_anonymous), (3, 9, 32, true));
         let settings = effective(&command(), &matches, &file);
         let origin =
             |name: &str| settings.iter().find(|setting| setting.name == name).map(|setting| setting.origin.clone());
@@ -224,12 +191,22 @@ mod tests {
     fn what_is_printed_is_a_file_that_says_the_same_and_hides_secrets() {
         let names: Vec<String> = command().get_arguments().map(|argument| argument.get_id().to_string()).collect();
         let names: Vec<&str> = names.iter().map(String::as_str).collect();
-        let arguments =
-            ["serve", "--otlp-headers", "authorization=Bearer s3cret", "--log", "rigsmith=\"x\"", "--workers", "2"];
+        let arguments = [
+            "serve",
+            "--otlp-headers",
+            "authorization=Bearer s3cret",
+            "--log",
+            "rigsmith=\"x\"",
+            "--workers",
+            "2",
+            "--database",
+            "postgres://rigs:s3cret@db/rigs?password=s3cret&sslmode=prefer",
+        ];
         let empty = ConfigFile::default();
         let matches = command().get_matches_from(arguments);
         let text = to_toml(&effective(&command(), &matches, &empty));
         assert!(!text.contains("s3cret"), "{text}");
+        assert!(text.contains("postgres://rigs:***@db/rigs?password=***&sslmode=prefer"), "{text}");
         let read = ConfigFile::parse("again.toml".as_ref(), &text, &names).expect("reads");
         assert_eq!(read.values.get("workers").map(String::as_str), Some("2"));
         assert_eq!(read.values.get("log").map(String::as_str), Some("rigsmith=\"x\""));

@@ -39,8 +39,9 @@ STEPS = [
     Step("lints", ["cargo", "clippy", "--release", "--all-targets", "--locked", "--", "-D", "warnings"]),
     # `--all-targets` builds the examples that the later steps run; documentation tests are a run of their own.
     Step("program", ["cargo", "build", "--release", "--locked", "--bins", "--examples"]),
-    Step("tests", ["cargo", "test", "--release", "--locked", "--no-fail-fast"], CARGO_SUMMARY),
-    Step("Python tests", [PYTHON, "-m", "pytest", "-q", "models/tests"], PYTEST_SUMMARY),
+    Step("tests", [PYTHON, "tests/postgres.py", "--", "cargo", "test", "--release", "--locked", "--no-fail-fast"],
+         CARGO_SUMMARY),  # fmt: skip
+    Step("Python tests", [PYTHON, "-m", "pytest", "-q", "models/tests", "tests/reliability"], PYTEST_SUMMARY),
     Step("Python client", [PYTHON, "tests/checks/python_client.py"], CHECK_SUMMARY, ["program"]),
     Step("rigging of the cases", [PYTHON, "tests/checks/rig_cases.py", OUTPUTS], CHECK_SUMMARY, ["program"]),
     Step("glTF validator", ["node", "tests/checks/validate.mjs", OUTPUTS], CHECK_SUMMARY, ["program"]),

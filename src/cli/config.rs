@@ -12,7 +12,7 @@ pub struct ConfigArguments {
 }
 
 /// The commands whose settings a file may give.
-const LAYERED: [&str; 2] = ["serve", "config"];
+const LAYERED: [&str; 3] = ["serve", "worker", "config"];
 
 /// A command line read twice: once for the name of the file, once with its values as defaults.
 pub struct Layered {

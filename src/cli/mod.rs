@@ -42,6 +42,8 @@ enum Command {
     Methods,
     /// Start the HTTP service.
     Serve(serve::ServeArguments),
+    /// Work on the jobs that other processes of the service take in.
+    Worker(serve::WorkerArguments),
     /// Send a mesh to a service; with -o, wait for its rig.
     Submit(remote::SubmitArguments),
     /// Show the progress of a rig that a service makes, until it is over.
@@ -97,6 +99,7 @@ fn run_command() -> Result<(), failure::Failure> {
         Command::Check(arguments) => check::run(&arguments),
         Command::Methods => methods::run(&cli.engine),
         Command::Serve(arguments) => serve::run(arguments, &cli.engine),
+        Command::Worker(arguments) => serve::work(arguments, &cli.engine),
         Command::Submit(arguments) => remote::submit(&arguments),
         Command::Watch(arguments) => remote::watch(&arguments),
         Command::Get(arguments) => remote::get(&arguments),

@@ -1,9 +1,9 @@
-//! `rigsmith serve` and `rigsmith health`.
+//! `rigsmith serve`, `rigsmith worker` and `rigsmith health`.
 
 use super::EngineOptions;
 use super::failure::Failure;
 use clap::Args;
-use rigsmith::config::ServeConfig;
+use rigsmith::config::{NodeConfig, ServeConfig, WorkerConfig};
 use rigsmith::jobs::Engine;
 use rigsmith::server::ServeError;
 use rigsmith::telemetry::TelemetryError;
@@ -21,6 +21,12 @@ pub struct ServeArguments {
 }
 
 #[derive(Args)]
+pub struct WorkerArguments {
+    #[command(flatten)]
+    config: WorkerConfig,
+}
+
+#[derive(Args)]
 pub struct HealthArguments {
     /// Address of the service.
     #[arg(long, env = "RIGSMITH_LISTEN", value_name = "ADDR", default_value = "127.0.0.1:8080")]
@@ -29,28 +35,44 @@ pub struct HealthArguments {
 
 pub fn run(arguments: ServeArguments, engine: &EngineOptions) -> Result<(), Failure> {
     let config = arguments.config;
+    let listening = |address: SocketAddr| {
+        println!("rigsmith listens on http://{address} (API description: http://{address}/docs)");
+    };
+    start(&config.node, engine, async |engine| server::serve(&config, engine, listening).await)
+}
+
+/// Works on the jobs of other processes.
+pub fn work(arguments: WorkerArguments, engine: &EngineOptions) -> Result<(), Failure> {
+    let config = arguments.config;
+    start(&config.node, engine, async |engine| server::work(&config, engine, || println!("rigsmith works")).await)
+}
+
+/// Telemetry, networks and a runtime for one process of a service.
+fn start(
+    node: &NodeConfig,
+    engine: &EngineOptions,
+    serve: impl AsyncFnOnce(Arc<Engine>) -> Result<(), ServeError>,
+) -> Result<(), Failure> {
     let arguments_wrong = |error: TelemetryError| Failure::arguments(error.to_string());
-    let headers = config.otlp_headers.as_deref();
-    let collector = config.otlp_endpoint.as_deref().map(|endpoint| Collector::new(endpoint, headers)).transpose();
+    let headers = node.otlp_headers.as_deref();
+    let collector = node.otlp_endpoint.as_deref().map(|endpoint| Collector::new(endpoint, headers)).transpose();
     let collector = collector.map_err(arguments_wrong)?;
-    let _telemetry = telemetry::init(config.log_format, &config.log, collector.as_ref()).map_err(arguments_wrong)?;
+    let _telemetry = telemetry::init(node.log_format, &node.log, collector.as_ref()).map_err(arguments_wrong)?;
     super::config::warn_of_unknown_variables();
-    if config.metrics_listen.is_some() {
+    if node.metrics_listen.is_some() {
         telemetry::metrics::install();
     }
     // A service without its networks would only ever refuse: better to stop here, where the operator sees it.
     let began = Instant::now();
-    let engine = Engine::open(&engine.load_options(config.workers))?;
+    let engine = Engine::open(&engine.load_options(node.workers))?;
     metrics::gauge!(telemetry::metrics::MODEL_LOAD_SECONDS).set(began.elapsed().as_secs_f64());
     let runtime = tokio::runtime::Runtime::new().map_err(|error| Failure::internal(error.to_string(), ""))?;
-    let listening = |address: SocketAddr| {
-        println!("rigsmith listens on http://{address} (API description: http://{address}/docs)");
-    };
-    runtime.block_on(server::serve(&config, Arc::new(engine), listening)).map_err(|error| match error {
-        ServeError::Unprotected { .. } | ServeError::NoKeys { .. } | ServeError::Keys(_) => {
+    runtime.block_on(serve(Arc::new(engine))).map_err(|error| {
+        if error.is_setting() {
             Failure::settings(error.to_string(), error.hint())
+        } else {
+            Failure::internal(error.to_string(), error.hint())
         }
-        error => Failure::internal(error.to_string(), error.hint()),
     })
 }
 

@@ -1,7 +1,7 @@
 //! What is in force, and where each value comes from.
 
 use super::file::nearest;
-use super::{ConfigFile, SECRETS};
+use super::{ConfigFile, SECRETS, URLS};
 use clap::parser::ValueSource;
 use clap::{ArgMatches, Command};
 use std::fmt;
@@ -54,10 +54,35 @@ pub fn effective(command: &Command, matches: &ArgMatches, file: &ConfigFile) -> 
                 Some(_) => Origin::Default,
                 None => Origin::Unset,
             };
-            let masked = value.map(|value| if SECRETS.contains(&name) { "***".to_owned() } else { value });
+            let masked = value.map(|value| match name {
+                name if SECRETS.contains(&name) => "***".to_owned(),
+                name if URLS.contains(&name) => without_password(&value),
+                _ => value,
+            });
             Setting { name: name.to_owned(), value: masked, origin }
         })
         .collect()
+}
+
+/// A URL whose password, before the host or among the parameters, is masked.
+fn without_password(url: &str) -> String {
+    let Ok(mut parsed) = reqwest::Url::parse(url) else { return url.to_owned() };
+    if parsed.password().is_none() && !parsed.query_pairs().any(|(name, _)| name == "password") {
+        return url.to_owned();
+    }
+    if parsed.password().is_some() {
+        // Fails for URLs that cannot have a password.
+        let _ = parsed.set_password(Some("***"));
+    }
+    if let Some(query) = parsed.query() {
+        let masked = query.split('&').map(|pair| match pair.split_once('=') {
+            Some(("password", _)) => "password=***",
+            _ => pair,
+        });
+        let masked = masked.collect::<Vec<_>>().join("&");
+        parsed.set_query(Some(&masked));
+    }
+    parsed.into()
 }
 
 /// The settings as a file that says the same, each with its origin.

@@ -20,6 +20,11 @@ use tokio::sync::{Notify, Semaphore};
 const STORE_THREADS: usize = 2;
 /// Weight of the newest job in the mean run time.
 const MEAN_WEIGHT: f64 = 0.2;
+/// A file without a name is named within this time, or never.
+const ORPHAN_AGE: Duration = Duration::from_secs(3600);
+/// Whatever they hear, workers and watchers look now and then: news may get lost, and are made in other processes.
+const LOOK_AGAIN: Duration = Duration::from_secs(1);
+const LOOK_AGAIN_WHERE_TOLD: Duration = Duration::from_secs(5);
 /// Before any job was run.
 const FIRST_GUESS: Duration = Duration::from_secs(2);
 
@@ -32,6 +37,8 @@ pub struct Core {
     pub watchers: Watchers,
     /// Told when there may be work, or when none will come any more.
     pub wake: Notify,
+    /// How long whoever waits believes that nothing happens.
+    pub look_again: Duration,
     pub checks: Arc<Semaphore>,
     /// What was seen of assets.
     pub looks: Looks,
@@ -81,6 +88,7 @@ impl Core {
         jobs: Arc<dyn JobStore>,
         settings: Settings,
     ) -> Result<Self, StartError> {
+        let look_again = if jobs.news().is_some() { LOOK_AGAIN_WHERE_TOLD } else { LOOK_AGAIN };
         Ok(Self {
             settings,
             files,
@@ -89,6 +97,7 @@ impl Core {
             running: Running::default(),
             watchers: Watchers::default(),
             wake: Notify::new(),
+            look_again,
             checks: Arc::new(Semaphore::new(settings.workers.max(1))),
             looks: Looks::default(),
             claiming: tokio::sync::Mutex::new(()),
@@ -159,6 +168,10 @@ impl Core {
     }
 
     fn make_room(&self) -> bool {
+        // Results are elsewhere: what fills this machine is on its way there, and goes by itself.
+        if self.files.is_shared() {
+            return false;
+        }
         let room = self.block_on(async {
             let expired = self.jobs.expire_oldest().await?;
             self.collect_garbage().await?;
@@ -177,6 +190,17 @@ impl Core {
                 // The next start sweeps it.
                 tracing::warn!(%error, "a file could not be removed");
             }
+        }
+        Ok(())
+    }
+
+    /// Removes the files that a crash left without a name, as long as nobody can be about to name them.
+    pub async fn remove_orphans(&self) -> Result<(), StoreFailure> {
+        let named = self.jobs.locations().await?;
+        match self.files.sweep(&named, ORPHAN_AGE).await {
+            Ok(0) => {}
+            Ok(orphans) => tracing::warn!(orphans, "removed files that no job names"),
+            Err(error) => tracing::warn!(%error, "files that no job names could not be removed"),
         }
         Ok(())
     }

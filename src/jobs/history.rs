@@ -7,14 +7,12 @@ use super::store::StoreFailure;
 use super::submission::Caller;
 use std::collections::VecDeque;
 use std::sync::Arc;
-use std::time::{Duration, SystemTime};
+use std::time::SystemTime;
 use tokio::sync::watch;
 use tokio::time::timeout;
 
 /// Events read at a time.
 const BATCH: usize = 100;
-/// How long a watcher believes that nothing happens: another process may work on the job.
-const LOOK_AGAIN: Duration = Duration::from_secs(1);
 
 /// What happens to one job, from some event on, to its end.
 pub struct Events {
@@ -81,7 +79,7 @@ impl Events {
                 return Ok(None);
             }
             // Waking early is as good as waking late: the store is asked either way.
-            let _ = timeout(LOOK_AGAIN, self.news.changed()).await;
+            let _ = timeout(self.core.look_again, self.news.changed()).await;
         }
     }
 }

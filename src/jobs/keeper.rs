@@ -3,14 +3,21 @@
 use super::core::Core;
 use super::memory;
 use super::running::{Stop, stuck};
-use super::store::{Ending, LeaseState, Memory, StoreFailure};
-use std::sync::Arc;
+use super::store::{Duty, Ending, LeaseState, Memory, News, StoreFailure};
+use std::sync::{Arc, Weak};
 use std::time::{Duration, Instant};
+use tokio::sync::Notify;
+use tokio::sync::broadcast::{Receiver, error::RecvError};
+use uuid::Uuid;
 
 /// News of stages reach the store at most this often.
 const NEWS_EVERY: Duration = Duration::from_millis(250);
-/// How often jobs of this process are asked for that somebody else wants stopped.
+/// How often jobs of this process are asked for that somebody else wants stopped, where no news come.
 const LOOK_EVERY: Duration = Duration::from_secs(1);
+/// How long no other worker is woken by news, in the mean.
+const WAKE_REST: Duration = Duration::from_millis(200);
+/// How often files without a name are looked for.
+const ORPHANS_EVERY: Duration = Duration::from_secs(3600);
 /// A lease is extended this many times before it would end.
 const BEATS_PER_LEASE: u32 = 5;
 /// Work that does not yield is given up after this time; its thread stays busy.
@@ -19,6 +26,11 @@ const PATIENCE: Duration = Duration::from_secs(10);
 pub fn start(core: &Arc<Core>) {
     if let Some(handle) = core.handle() {
         handle.spawn(keep(core.clone()));
+        if let Some(news) = core.jobs.news() {
+            let queued = Arc::new(Notify::new());
+            handle.spawn(hear(Arc::downgrade(core), news, queued.clone()));
+            handle.spawn(wake_one(Arc::downgrade(core), queued));
+        }
     }
 }
 
@@ -46,7 +58,8 @@ async fn keep(core: Arc<Core>) {
     let tick = core.settings.sweep_every.clamp(Duration::from_millis(1), NEWS_EVERY);
     let mut beat = Round::new(core.settings.lease / BEATS_PER_LEASE);
     let (mut look, mut news) = (Round::new(LOOK_EVERY), Round::new(NEWS_EVERY));
-    let mut sweep = Round::new(core.settings.sweep_every);
+    let (mut sweep, mut orphans) = (Round::new(core.settings.sweep_every), Round::new(ORPHANS_EVERY));
+    let told = core.jobs.news().is_some();
     let mut idle_bytes = memory::resident_bytes().unwrap_or(0);
     // While work is given back, leases are kept; afterwards there is nothing to keep.
     while !core.is_closed() || core.running.count() > 0 {
@@ -58,7 +71,7 @@ async fn keep(core: Arc<Core>) {
             if beat.comes() {
                 let leases = core.running.leases();
                 heed(&core, &leases, core.jobs.extend(&leases).await?);
-            } else if look.comes() {
+            } else if !told && look.comes() {
                 let leases = core.running.leases();
                 heed(&core, &leases, core.jobs.look_at(&leases).await?);
             }
@@ -69,6 +82,10 @@ async fn keep(core: Arc<Core>) {
             if sweep.comes() {
                 sweep_up(&core).await?;
             }
+            if orphans.comes() && core.jobs.take_turn(Duty::RemoveOrphans, ORPHANS_EVERY).await? {
+                core.collect_garbage().await?;
+                core.remove_orphans().await?;
+            }
             Ok::<_, StoreFailure>(())
         };
         if let Err(error) = kept.await {
@@ -77,12 +94,57 @@ async fn keep(core: Arc<Core>) {
     }
 }
 
+/// Passes on what other processes tell.
+async fn hear(core: Weak<Core>, mut news: Receiver<News>, queued: Arc<Notify>) {
+    loop {
+        let heard = match news.recv().await {
+            Ok(heard) => heard,
+            Err(RecvError::Lagged(_)) => News::Missed,
+            Err(RecvError::Closed) => return,
+        };
+        let Some(core) = core.upgrade() else { return };
+        match heard {
+            News::Job(id) => core.watchers.tell(id),
+            News::Stop(id) => {
+                if let Some(lease) = core.running.lease_of(id) {
+                    match core.jobs.look_at(&[lease]).await {
+                        Ok(states) => heed(&core, &[lease], states),
+                        Err(error) => tracing::warn!(%error, "a wish to stop is heard with the next beat"),
+                    }
+                }
+            }
+            News::Queued => queued.notify_one(),
+            News::Missed => {
+                core.watchers.tell_all();
+                core.wake.notify_waiters();
+            }
+        }
+    }
+}
+
+/// Wakes a worker for news of waiting jobs, and then rests: every process hears of every job, and few can have it.
+async fn wake_one(core: Weak<Core>, queued: Arc<Notify>) {
+    loop {
+        queued.notified().await;
+        match core.upgrade() {
+            Some(core) => core.wake.notify_one(),
+            None => return,
+        }
+        // Not all of them at the same time.
+        let uneven = u32::from(Uuid::now_v7().as_bytes()[15]);
+        tokio::time::sleep(WAKE_REST / 2 + WAKE_REST * uneven / 256).await;
+    }
+}
+
 fn heed(core: &Core, leases: &[super::store::Lease], states: Vec<LeaseState>) {
     for (lease, state) in leases.iter().zip(states) {
         match state {
             LeaseState::Held => {}
             LeaseState::CancelRequested => core.running.stop(lease.job, Stop::Asked),
-            LeaseState::Lost => core.running.stop(lease.job, Stop::Fenced),
+            LeaseState::Lost => {
+                tracing::warn!(job.id = %lease.job, lease.attempt, "a late attempt stops: the job is in other hands or over");
+                core.running.stop(lease.job, Stop::Fenced);
+            }
         }
     }
 }

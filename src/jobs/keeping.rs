@@ -4,7 +4,7 @@ use super::asset::{Asset, PutAsset};
 use super::ids::AssetId;
 use super::memory;
 use super::perform::NamedFile;
-use super::queue::{Jobs, keep};
+use super::queue::{Jobs, keep, leave_in_doubt};
 use super::store::StoreFailure;
 use super::submission::{Caller, Missing, Refusal};
 use super::upload::Received;
@@ -35,9 +35,16 @@ impl Jobs {
         let memory_bytes = memory::expected_bytes(&received.files());
         let put = self.core().detached(async move {
             let (files, retention) = (received.blobs(), core.settings.keep_time);
-            let (asset, created, kept) = core.jobs.put_asset(&caller, &files, memory_bytes, retention).await?;
-            keep([Some(received.bundle), None], &kept);
-            Ok(PutAsset { asset, created, check })
+            match core.jobs.put_asset(&caller, &files, memory_bytes, retention).await {
+                Ok((asset, created, kept)) => {
+                    keep([Some(received.bundle), None], &kept);
+                    Ok(PutAsset { asset, created, check })
+                }
+                Err(error) => {
+                    leave_in_doubt([Some(received.bundle), None]);
+                    Err(error)
+                }
+            }
         });
         Ok(put.await?)
     }

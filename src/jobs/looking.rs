@@ -11,9 +11,6 @@ use super::submission::Caller;
 use std::time::Duration;
 use tokio::time::{Instant, timeout_at};
 
-/// How often a waiting caller looks, whatever it hears: another process may work on the job.
-const LOOK_AGAIN: Duration = Duration::from_secs(1);
-
 /// What became of a wish to cancel or delete.
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum Denied {
@@ -47,7 +44,7 @@ impl Jobs {
             if job.state.is_final() || Instant::now() >= until {
                 return Ok(Some(job));
             }
-            let look_again = until.min(Instant::now() + LOOK_AGAIN);
+            let look_again = until.min(Instant::now() + self.core().look_again);
             // However the waiting ends, the job is looked at.
             let _ = timeout_at(look_again, news.changed()).await;
         }

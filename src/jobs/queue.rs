@@ -8,6 +8,7 @@ use super::options::{FieldError, FieldProblem, RigOptions};
 use super::perform::{Availability, MethodInfo, Readiness, Rigger};
 use super::running::Stop;
 use super::settings::Settings;
+use super::store::postgres::PostgresStore;
 use super::store::sqlite::SqliteStore;
 use super::store::{Admission, Counts, JobStore, NewFiles, NewJob, Remembered, StoreFailure};
 use super::submission::{Caller, Refusal, Source, Submission, Submitted};
@@ -24,13 +25,15 @@ use tokio::time::timeout;
 pub enum StartError {
     #[error("the job database {}: {cause}", .path.display())]
     Database { path: std::path::PathBuf, cause: StoreFailure },
+    #[error("the shared job database: {0}")]
+    SharedDatabase(StoreFailure),
     #[error(transparent)]
     Store(#[from] StoreError),
     #[error(transparent)]
     Io(#[from] std::io::Error),
 }
 
-/// The jobs of one data folder. Clones share them; the workers leave with the last clone.
+/// The jobs of one data folder or shared database. Clones share them; the workers leave with the last clone.
 #[derive(Clone)]
 pub struct Jobs(Arc<Handle>);
 
@@ -52,7 +55,6 @@ impl Jobs {
     pub fn start(rigger: Arc<dyn Rigger>, files: Store, settings: Settings) -> Result<Self, StartError> {
         let runtime = OwnRuntime::new()?;
         let path = files.root().join(DATABASE);
-        let ended = || StoreFailure::new(&"opening it was given up");
         let opened = runtime.finish({
             let (path, files) = (path.clone(), files.clone());
             async move {
@@ -67,7 +69,7 @@ impl Jobs {
                     );
                 }
                 let named = jobs.locations().await?;
-                match files.sweep(&named).await {
+                match files.sweep(&named, Duration::ZERO).await {
                     Ok(0) => {}
                     Ok(orphans) => tracing::warn!(orphans, "removed files that no job names"),
                     Err(error) => return Err(StoreFailure::new(&error)),
@@ -75,7 +77,22 @@ impl Jobs {
                 Ok(jobs)
             }
         });
-        let jobs = opened.unwrap_or_else(|| Err(ended())).map_err(|cause| StartError::Database { path, cause })?;
+        let jobs = opened.unwrap_or_else(|| Err(given_up())).map_err(|cause| StartError::Database { path, cause })?;
+        Self::start_with(runtime, rigger, files, Arc::new(jobs), settings)
+    }
+
+    /// Opens the jobs in the PostgreSQL database at `url`, which other processes may share, and starts the workers.
+    /// `files` are shared by the same processes.
+    pub fn start_shared(
+        rigger: Arc<dyn Rigger>,
+        files: Store,
+        url: &str,
+        settings: Settings,
+    ) -> Result<Self, StartError> {
+        let runtime = OwnRuntime::new()?;
+        let url = url.to_owned();
+        let opened = runtime.finish(async move { PostgresStore::open(&url, settings.lease).await });
+        let jobs = opened.unwrap_or_else(|| Err(given_up())).map_err(StartError::SharedDatabase)?;
         Self::start_with(runtime, rigger, files, Arc::new(jobs), settings)
     }
 
@@ -209,11 +226,13 @@ impl Jobs {
             .detached({
                 let core = core.clone();
                 async move {
-                    let admission = core.jobs.submit(new).await?;
-                    if let Admission::Admitted { kept, .. } = &admission {
-                        keep([received, skeleton], kept);
+                    let admission = core.jobs.submit(new).await;
+                    match &admission {
+                        Ok(Admission::Admitted { kept, .. }) => keep([received, skeleton], kept),
+                        Ok(_) => {}
+                        Err(_) => leave_in_doubt([received, skeleton]),
                     }
-                    Ok(admission)
+                    admission
                 }
             })
             .await?;
@@ -268,7 +287,7 @@ impl Jobs {
         self.core().jobs.counts().await
     }
 
-    /// Bytes of uploads and results kept now, and at most.
+    /// Bytes of uploads and results kept on this machine now, and at most.
     pub fn bytes_kept(&self) -> (u64, u64) {
         (self.core().files.bytes(), self.core().files.bytes_max())
     }
@@ -311,11 +330,20 @@ impl Jobs {
     }
 }
 
+fn given_up() -> StoreFailure {
+    StoreFailure::new(&"opening it was given up")
+}
+
 /// The database names these blobs now; the others go.
 pub(super) fn keep(bundles: [Option<Bundle>; 2], kept: &[String]) {
     for mut bundle in bundles.into_iter().flatten() {
         kept.iter().for_each(|location| bundle.keep(location));
     }
+}
+
+/// Nobody knows whether the database names these blobs.
+pub(super) fn leave_in_doubt(bundles: [Option<Bundle>; 2]) {
+    bundles.into_iter().flatten().for_each(|mut bundle| bundle.leave_in_doubt());
 }
 
 /// A job that is refused as soon as a worker sees it.

@@ -104,6 +104,11 @@ impl Running {
         self.lock().values().map(|work| work.lease).collect()
     }
 
+    /// The right by which this process works on the job.
+    pub fn lease_of(&self, id: JobId) -> Option<Lease> {
+        self.lock().get(&id).map(|work| work.lease)
+    }
+
     pub fn enter(&self, lease: Lease, stage: Stage) {
         if let Some(work) = self.lock().get_mut(&lease.job).filter(|work| work.lease == lease) {
             work.stage = Some(stage);

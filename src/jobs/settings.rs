@@ -7,7 +7,7 @@ use std::time::Duration;
 /// Numbers that an operator sets.
 #[derive(Clone, Copy, Debug)]
 pub struct Settings {
-    /// Jobs that run at the same time, at least 1.
+    /// Jobs that run at the same time. None: other processes do the work.
     pub workers: usize,
     /// Jobs that may wait.
     pub queue_max: usize,
@@ -30,6 +30,9 @@ pub struct Settings {
 /// Memory that one job may take, unless the operator says otherwise.
 const JOB_MEMORY_BYTES: u64 = 2 << 30;
 
+/// How often each of many processes looks at deadlines and retention.
+const SHARED_SWEEP: Duration = Duration::from_secs(2);
+
 impl Default for Settings {
     fn default() -> Self {
         Self {
@@ -47,10 +50,18 @@ impl Default for Settings {
 }
 
 impl Settings {
+    /// For jobs that many processes share: each sweeps less often, and records go by their age alone, since counting
+    /// them takes its time.
+    pub fn shared(self) -> Self {
+        Self { sweep_every: SHARED_SWEEP, records_max: usize::MAX, ..self }
+    }
+
     /// Memory that all running jobs together may take: 2 GiB per worker, and no more than three quarters of what the
     /// machine or container has.
     pub fn memory_max(&self) -> u64 {
         let wanted = JOB_MEMORY_BYTES.saturating_mul(self.workers.max(1) as u64);
-        self.memory_bytes_max.unwrap_or_else(|| memory::machine_share().unwrap_or(u64::MAX).min(wanted))
+        // Where nothing runs, this machine's memory says nothing about the jobs.
+        let share = if self.workers == 0 { None } else { memory::machine_share() };
+        self.memory_bytes_max.unwrap_or_else(|| share.unwrap_or(u64::MAX).min(wanted))
     }
 }

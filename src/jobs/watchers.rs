@@ -29,6 +29,11 @@ impl Watchers {
         }
     }
 
+    /// Wakes all who watch any job.
+    pub fn tell_all(&self) {
+        self.lock().values().for_each(|watchers| watchers.send_replace(()));
+    }
+
     /// Forgets jobs that nobody watches any more.
     pub fn tidy(&self) {
         self.lock().retain(|_, watchers| watchers.receiver_count() > 0);

@@ -18,8 +18,8 @@ use tokio::time::timeout;
 
 /// What the main thread of a program has, so that the command line and the service go equally deep.
 const STACK_BYTES: usize = 8 << 20;
-/// How often a worker looks for work whatever it hears: another process may have queued some.
-const LOOK_AGAIN: Duration = Duration::from_secs(1);
+/// How long a worker rests when the files of a job could not be read or written.
+const STORAGE_REST: Duration = Duration::from_secs(3);
 /// How often an ending is written again when the store does not take it,
 const TELL_TRIES: u32 = 20;
 /// and how long after. Together longer than a lease: then the job is done again.
@@ -28,7 +28,7 @@ const TELL_AGAIN: Duration = Duration::from_secs(1);
 /// Starts the workers. They leave when the service drains.
 pub fn start(core: &Arc<Core>) -> std::io::Result<()> {
     let worker = format!("{}-{}", std::process::id(), uuid::Uuid::now_v7().simple());
-    for number in 0..core.settings.workers.max(1) {
+    for number in 0..core.settings.workers {
         let (core, name) = (core.clone(), format!("{worker}-{number}"));
         core.workers_left.fetch_add(1, Ordering::SeqCst);
         let leaving = Leaving(core.clone());
@@ -67,7 +67,7 @@ fn next(core: &Core, name: &str) -> Option<Claim> {
                 Err(error) => tracing::error!(%error, "no job could be taken"),
             }
             // Woken or not, the store is asked.
-            let _ = timeout(LOOK_AGAIN, woken).await;
+            let _ = timeout(core.look_again, woken).await;
         }
     })
 }
@@ -82,6 +82,8 @@ async fn claim(core: &Core, name: &str) -> Result<Option<Claim>, StoreFailure> {
     if let Some(claim) = &claim {
         core.running.begin(claim);
         core.watchers.tell(claim.lease.job);
+        // There may be more, and others who rest.
+        core.wake.notify_one();
     }
     Ok(claim)
 }
@@ -93,7 +95,7 @@ fn work(core: &Arc<Core>, claim: Claim) {
     tracing::info!("the job runs");
     let (began, job) = (Instant::now(), claim.job.clone());
     counted::began(&job);
-    let (ending, bundle) = run(core, claim);
+    let Run { ending, bundle, storage_away } = run(core, claim);
     core.note_run(began.elapsed());
     let duration_ms = began.elapsed().as_millis() as u64;
     match &ending {
@@ -121,54 +123,89 @@ fn work(core: &Arc<Core>, claim: Claim) {
     core.running.end(lease);
     core.watchers.tell(id);
     core.wake.notify_waiters();
+    if storage_away {
+        std::thread::sleep(STORAGE_REST);
+    }
 }
 
-/// Does the work. `None`: it has no end that is ours to tell.
-fn run(core: &Arc<Core>, claim: Claim) -> (Option<Ending>, Option<Bundle>) {
+/// What became of the work.
+#[derive(Default)]
+struct Run {
+    /// `None`: it has no end that is ours to tell.
+    ending: Option<Ending>,
+    bundle: Option<Bundle>,
+    storage_away: bool,
+}
+
+/// Why there is no result.
+enum Undone {
+    Failed(JobError),
+    /// The storage does not answer, which is no fault of the job.
+    StorageAway(StoreError),
+}
+
+impl From<StoreError> for Undone {
+    fn from(error: StoreError) -> Self {
+        if error.is_away() { Self::StorageAway(error) } else { Self::Failed(storage_failed(&error)) }
+    }
+}
+
+impl From<JobError> for Undone {
+    fn from(error: JobError) -> Self {
+        Self::Failed(error)
+    }
+}
+
+/// Does the work.
+fn run(core: &Arc<Core>, claim: Claim) -> Run {
     let lease = claim.lease;
     let watched = Arc::downgrade(core);
-    let Some(cancellation) = core.running.cancellation(lease) else { return (None, None) };
+    let Some(cancellation) = core.running.cancellation(lease) else { return Run::default() };
     let watch = Watch::new(cancellation, move |stage| {
         if let Some(core) = watched.upgrade() {
             core.running.enter(lease, stage);
         }
     });
     let done = prepare(core, &claim)
-        .and_then(|request| guarded(|| core.rigger.perform(&request, &watch)))
+        .and_then(|request| Ok(guarded(|| core.rigger.perform(&request, &watch))?))
         .and_then(|outcome| keep(core, outcome));
     let (stage, timings) = (watch.stage(), watch.timings());
     let (outcome, bundle) = match done {
         // A late result of work that was fenced is refused by the store.
         Ok((result, bundle)) => (Ok((result, bundle.files().to_vec())), Some(bundle)),
-        Err(error) => {
+        Err(Undone::StorageAway(error)) => {
+            tracing::error!(%error, "the storage does not answer; the job goes back");
+            return Run { storage_away: true, ..Run::default() };
+        }
+        Err(Undone::Failed(error)) => {
             let error = match error.stage.or(stage) {
                 Some(stage) => error.at(stage),
                 None => error,
             };
             match ended_without_result(core.running.stop_of(lease), error) {
                 Some(ended) => (Err(ended), None),
-                None => return (None, None),
+                None => return Run::default(),
             }
         }
     };
-    (Some(Ending { outcome, stage, timings }), bundle)
+    Run { ending: Some(Ending { outcome, stage, timings }), bundle, storage_away: false }
 }
 
 /// The request with its files, unless it needs more memory than there is.
-fn prepare(core: &Core, claim: &Claim) -> Result<RigRequest, JobError> {
+fn prepare(core: &Core, claim: &Claim) -> Result<RigRequest, Undone> {
     if let Some(refused) = refused_by_memory(claim.memory_bytes, &core.settings) {
-        return Err(refused);
+        return Err(refused.into());
     }
     let mut places: Vec<_> = claim.files.iter().map(|(file, place)| (file.name.clone(), place.clone())).collect();
     places.extend(claim.skeleton.iter().map(|place| (String::new(), place.clone())));
-    let handle = core.handle().ok_or_else(|| storage_failed(&StoreError::Interrupted))?;
-    let mut files = handle.block_on(core.load(&places)).map_err(|error| storage_failed(&error))?;
+    let handle = core.handle().ok_or(StoreError::Interrupted)?;
+    let mut files = handle.block_on(core.load(&places))?;
     let skeleton = claim.skeleton.as_ref().and_then(|_| files.pop()).map(|file| file.bytes);
     Ok(RigRequest { files, options: claim.job.request.options.clone(), skeleton })
 }
 
 /// Writes the end of a job down, again and again while the store does not take it.
-fn tell(core: &Core, lease: super::store::Lease, ending: Ending, bundle: Option<Bundle>) {
+fn tell(core: &Core, lease: super::store::Lease, ending: Ending, mut bundle: Option<Bundle>) {
     for _ in 0..TELL_TRIES {
         match core.block_on(core.jobs.finish(lease, ending.clone())) {
             Ok(Finish::Done { kept }) => {
@@ -183,6 +220,8 @@ fn tell(core: &Core, lease: super::store::Lease, ending: Ending, bundle: Option<
             }
             Err(error) => {
                 tracing::error!(%error, "the end of a job could not be written down");
+                // It may have been, and only the answer be lost: then the next try finds the job over.
+                bundle.iter_mut().for_each(Bundle::leave_in_doubt);
                 std::thread::sleep(TELL_AGAIN);
             }
         }
@@ -225,16 +264,16 @@ fn storage_failed(error: &StoreError) -> JobError {
 }
 
 /// Stores what was made.
-fn keep(core: &Core, outcome: Outcome) -> Result<(JobResult, Bundle), JobError> {
+fn keep(core: &Core, outcome: Outcome) -> Result<(JobResult, Bundle), Undone> {
     let Outcome { artifacts, mut report, findings, method_used } = outcome;
     // The name belongs to the list of stored files.
     report.remove("artifacts");
     let names: BTreeSet<&str> = artifacts.iter().map(|artifact| artifact.name.as_str()).collect();
     if names.len() != artifacts.len() || !names.iter().all(|name| plain(name)) {
         tracing::error!(?names, "artifact names are not distinct and plain");
-        return Err(JobError::new(ErrorCode::Internal, "the files made have unusable names"));
+        return Err(JobError::new(ErrorCode::Internal, "the files made have unusable names").into());
     }
-    let bundle = store(core, &artifacts).map_err(|error| storage_failed(&error))?;
+    let bundle = store(core, &artifacts)?;
     let artifacts = artifacts
         .iter()
         .zip(bundle.files())

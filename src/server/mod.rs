@@ -9,7 +9,7 @@ mod run;
 mod tickets;
 
 pub use connections::ConnectionLimits;
-pub use run::{ServeError, run, serve, stop_signal};
+pub use run::{ServeError, run, serve, stop_signal, work};
 
 use self::keys::{Keys, KeysError};
 use self::quota::Buckets;

@@ -2,7 +2,7 @@
 
 use super::keys::{Keys, KeysError, Quota};
 use super::{App, ConnectionLimits, Limits, app, connections, metrics};
-use crate::config::ServeConfig;
+use crate::config::{NodeConfig, ServeConfig, WorkerConfig};
 use crate::jobs::{Jobs, Rigger, Settings, StartError, cores};
 use crate::storage::{Store, StoreError};
 use crate::telemetry;
@@ -31,6 +31,12 @@ pub enum ServeError {
     Unprotected { address: SocketAddr },
     #[error("the keys file {path} holds no key, so nobody could ask")]
     NoKeys { path: String },
+    #[error("jobs that processes share need both --database and --storage")]
+    HalfShared,
+    #[error("--workers 0 without --database: nobody would do the work")]
+    NoWorkers,
+    #[error("a worker needs the --database and the --storage of the service that it works for")]
+    NoService,
     #[error(transparent)]
     Keys(#[from] KeysError),
     #[error(transparent)]
@@ -42,6 +48,20 @@ pub enum ServeError {
 }
 
 impl ServeError {
+    /// Whether it is a matter of settings rather than of the moment.
+    pub fn is_setting(&self) -> bool {
+        matches!(
+            self,
+            Self::Unprotected { .. }
+                | Self::NoKeys { .. }
+                | Self::Keys(_)
+                | Self::HalfShared
+                | Self::NoWorkers
+                | Self::NoService
+                | Self::Store(StoreError::Bucket { .. })
+        )
+    }
+
     /// What the operator can do.
     pub fn hint(&self) -> &'static str {
         match self {
@@ -52,6 +72,14 @@ impl ServeError {
             }
             Self::NoKeys { .. } => "make a key with rigsmith keys new",
             Self::Keys(_) => "rigsmith keys new makes the file; rigsmith keys list reads it",
+            Self::HalfShared | Self::NoService => {
+                "as in --database postgres://user:password@host/name --storage s3://bucket?endpoint=https://host"
+            }
+            Self::NoWorkers => "leave --workers out, or name the database that workers share",
+            Self::Store(StoreError::Bucket { .. }) => {
+                "as in s3://bucket/prefix?endpoint=https://host; keys come from AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY"
+            }
+            Self::Start(StartError::SharedDatabase(_)) => "is it running, and does --database name it?",
             Self::Store(_) | Self::Start(_) => "name another folder by --data",
             Self::Io(_) => "",
         }
@@ -66,21 +94,14 @@ pub async fn serve(
 ) -> Result<(), ServeError> {
     let keys = keys(config)?;
     let listener = bind(config.listen).await?;
-    let store = Store::open(&config.data, config.keep_mib.saturating_mul(MIB))?;
-    let settings = Settings {
-        workers: workers(config.workers),
-        memory_bytes_max: config.memory_mib.map(|mib| mib.saturating_mul(MIB)),
-        queue_max: config.queue,
-        job_time_max: Duration::from_secs(config.job_seconds),
-        keep_time: Duration::from_secs(config.keep_hours.saturating_mul(3600)),
-        ..Settings::default()
-    };
-    let jobs = Jobs::start(rigger, store, settings)?;
+    let jobs = jobs(&config.node, rigger, config.queue)?;
     let mut app = App::new(jobs.clone(), limits(config));
     if let Some(keys) = keys {
         app = app.with_keys(keys)?;
     }
-    let background = background(config, &app).await?;
+    let mut background: Vec<JoinHandle<()>> = Vec::new();
+    background.extend(metrics(&config.node, &jobs).await?);
+    background.extend(app.guard.as_ref().map(|guard| refreshed(guard.keys.clone())));
     listening(listener.local_addr()?);
     let ended = run(listener, stop_signal(), app).await;
     background.iter().for_each(JoinHandle::abort);
@@ -88,8 +109,54 @@ pub async fn serve(
     Ok(ended?)
 }
 
+/// Works on the jobs of a shared database, until the process is asked to stop. `working` is told when it begins.
+pub async fn work(config: &WorkerConfig, rigger: Arc<dyn Rigger>, working: impl FnOnce()) -> Result<(), ServeError> {
+    let node = &config.node;
+    if node.database.is_none() || node.storage.is_none() {
+        return Err(ServeError::NoService);
+    }
+    let node = &NodeConfig { workers: node.workers.max(1), ..node.clone() };
+    // It takes nothing in, so it has no queue of its own.
+    let jobs = jobs(node, rigger, 0)?;
+    let metrics = metrics(node, &jobs).await?;
+    working();
+    stop_signal().await;
+    drain(&jobs, Duration::from_secs(node.grace_seconds)).await;
+    metrics.iter().for_each(JoinHandle::abort);
+    jobs.close().await;
+    Ok(())
+}
+
+/// The jobs that `node` names, with its workers.
+fn jobs(node: &NodeConfig, rigger: Arc<dyn Rigger>, queue_max: usize) -> Result<Jobs, ServeError> {
+    let settings = Settings {
+        workers: workers(node.workers),
+        memory_bytes_max: node.memory_mib.map(|mib| mib.saturating_mul(MIB)),
+        queue_max,
+        job_time_max: Duration::from_secs(node.job_seconds),
+        keep_time: Duration::from_secs(node.keep_hours.saturating_mul(3600)),
+        ..Settings::default()
+    };
+    let bytes_max = node.keep_mib.saturating_mul(MIB);
+    match (&node.database, &node.storage) {
+        (None, None) if node.workers == 0 => Err(ServeError::NoWorkers),
+        (None, None) => Ok(Jobs::start(rigger, Store::open(&node.data, bytes_max)?, settings)?),
+        (Some(database), Some(storage)) => {
+            // A variable that is no text is none of those that are looked for.
+            let variables = std::env::vars_os()
+                .filter_map(|(name, value)| Some((name.into_string().ok()?, value.into_string().ok()?)));
+            let store = Store::open_bucket(&node.data, storage, variables, bytes_max)?;
+            Ok(Jobs::start_shared(rigger, store, database, settings.shared())?)
+        }
+        _ => Err(ServeError::HalfShared),
+    }
+}
+
 /// The workers that the cores allow.
 fn workers(asked: usize) -> usize {
+    if asked == 0 {
+        return 0;
+    }
     let workers = cores::share(cores::available(), asked, None).workers;
     if workers < asked {
         tracing::warn!(asked, workers, "fewer workers than asked for: there are no more cores");
@@ -123,7 +190,7 @@ fn limits(config: &ServeConfig) -> Limits {
         uploads_max: config.uploads,
         upload_pause_max: Duration::from_secs(config.upload_pause_seconds),
         upload_time_max: Duration::from_secs(config.upload_seconds),
-        grace: Duration::from_secs(config.grace_seconds),
+        grace: Duration::from_secs(config.node.grace_seconds),
         connection: ConnectionLimits {
             connections_max: config.connections,
             header_time_max: Duration::from_secs(config.header_seconds),
@@ -137,25 +204,24 @@ async fn bind(address: SocketAddr) -> Result<TcpListener, ServeError> {
     TcpListener::bind(address).await.map_err(|source| ServeError::Listen { address, source })
 }
 
-/// What runs beside the service: metrics, and a look at the keys file now and then.
-async fn background(config: &ServeConfig, app: &App) -> Result<Vec<JoinHandle<()>>, ServeError> {
-    let mut tasks = Vec::new();
-    if let Some(address) = config.metrics_listen {
-        let router = metrics::routes(app.clone(), telemetry::metrics::install());
-        let listener = bind(address).await?;
-        let limits = ConnectionLimits { connections_max: 16, ..ConnectionLimits::default() };
-        tracing::info!(%address, "metrics are at http://{address}/metrics");
-        tasks.push(tokio::spawn(connections::serve(listener, router, limits, std::future::pending(), LAST_WAIT)));
-    }
-    if let Some(keys) = app.guard.as_ref().map(|guard| guard.keys.clone()) {
-        tasks.push(tokio::spawn(async move {
-            loop {
-                tokio::time::sleep(KEYS_REFRESH).await;
-                keys.refresh();
-            }
-        }));
-    }
-    Ok(tasks)
+/// Serves metrics and probes for the operator, where they are asked for.
+async fn metrics(node: &NodeConfig, jobs: &Jobs) -> Result<Option<JoinHandle<()>>, ServeError> {
+    let Some(address) = node.metrics_listen else { return Ok(None) };
+    let router = metrics::routes(jobs.clone(), telemetry::metrics::install());
+    let listener = bind(address).await?;
+    let limits = ConnectionLimits { connections_max: 16, ..ConnectionLimits::default() };
+    tracing::info!(%address, "metrics are at http://{address}/metrics");
+    Ok(Some(tokio::spawn(connections::serve(listener, router, limits, std::future::pending(), LAST_WAIT))))
+}
+
+/// Looks at the keys file now and then.
+fn refreshed(keys: Keys) -> JoinHandle<()> {
+    tokio::spawn(async move {
+        loop {
+            tokio::time::sleep(KEYS_REFRESH).await;
+            keys.refresh();
+        }
+    })
 }
 
 /// Serves on `listener` until `shutdown` resolves, then stops in order: no new jobs and not ready, while callers can
@@ -169,17 +235,20 @@ pub async fn run(listener: TcpListener, shutdown: impl Future<Output = ()>, stat
     };
     let server = tokio::spawn(connections::serve(listener, app(state), limits.connection, closed, LAST_WAIT));
     shutdown.await;
-    drain(&jobs, limits.grace).await;
+    if drain(&jobs, limits.grace).await {
+        tokio::time::sleep(LINGER).await;
+    }
     closing.send_replace(true);
     drop(close);
     server.await.map_err(io::Error::other)
 }
 
-async fn drain(jobs: &Jobs, grace: Duration) {
+/// Lets running jobs finish within `grace`. Whether there were any.
+async fn drain(jobs: &Jobs, grace: Duration) -> bool {
     tracing::info!(grace_s = grace.as_secs(), "stopping: no new jobs, running ones may finish");
     jobs.drain();
     if jobs.running() == 0 {
-        return;
+        return false;
     }
     if timeout(grace, jobs.idle()).await.is_err() {
         tracing::warn!("the grace is over: running jobs are asked to stop");
@@ -188,7 +257,7 @@ async fn drain(jobs: &Jobs, grace: Duration) {
             tracing::error!("running jobs did not stop; their work is lost");
         }
     }
-    tokio::time::sleep(LINGER).await;
+    true
 }
 
 /// Resolves when the process is asked to stop, by SIGTERM or from the terminal.

@@ -3,10 +3,11 @@
 use super::{BLOBS, Store, StoreError};
 use bytes::Bytes;
 use object_store::path::Path;
-use object_store::{GetOptions, GetRange, ObjectStore, ObjectStoreExt};
+use object_store::{GetOptions, GetRange, ObjectStoreExt};
 use std::collections::BTreeSet;
 use std::io;
 use std::pin::Pin;
+use std::time::{Duration, SystemTime};
 use tokio_stream::{Stream, StreamExt};
 
 /// Bytes of a blob as they are read.
@@ -26,7 +27,7 @@ impl Content {
     }
 
     pub async fn read(&self) -> Result<Bytes, StoreError> {
-        let got = self.store.0.objects.get(&Path::from(self.location.as_str())).await;
+        let got = self.store.objects().get(&Path::from(self.location.as_str())).await;
         let got = got.map_err(|source| self.failed(source))?;
         got.bytes().await.map_err(|source| self.failed(source))
     }
@@ -38,7 +39,7 @@ impl Content {
         }
         let range = GetRange::Bounded(offset..offset.saturating_add(bytes));
         let options = GetOptions { range: Some(range), ..GetOptions::default() };
-        let got = self.store.0.objects.get_opts(&Path::from(self.location.as_str()), options).await;
+        let got = self.store.objects().get_opts(&Path::from(self.location.as_str()), options).await;
         let got = got.map_err(|source| self.failed(source))?;
         Ok(Box::pin(got.into_stream().map(|chunk| chunk.map_err(io::Error::other))))
     }
@@ -56,7 +57,8 @@ impl Store {
 
     /// Removes a blob that the database does not name any more. Removing it twice is removing it once.
     pub async fn remove(&self, location: &str, bytes: u64) -> Result<(), StoreError> {
-        match self.0.objects.delete(&Path::from(location)).await {
+        match self.objects().delete(&Path::from(location)).await {
+            Ok(()) if self.is_shared() => {}
             Ok(()) => self.give_back(bytes),
             Err(object_store::Error::NotFound { .. }) => {}
             Err(source) => return Err(StoreError::Blob { location: location.to_owned(), source }),
@@ -64,15 +66,16 @@ impl Store {
         Ok(())
     }
 
-    /// Removes every blob that is not among the `named` ones: what a crash left between writing a blob and naming it.
-    /// Only while nothing is being received. Gives their number.
-    pub async fn sweep(&self, named: &BTreeSet<String>) -> Result<usize, StoreError> {
+    /// Removes every blob that is older than `age` and not among the `named` ones: what a crash left between writing a
+    /// blob and naming it. `age` is longer than that takes, or nothing is being received. Gives their number.
+    pub async fn sweep(&self, named: &BTreeSet<String>, age: Duration) -> Result<usize, StoreError> {
+        let before = SystemTime::now().checked_sub(age).unwrap_or(SystemTime::UNIX_EPOCH);
         let failed = |source| StoreError::Blob { location: BLOBS.to_owned(), source };
-        let mut listed = self.0.objects.list(Some(&Path::from(BLOBS)));
+        let mut listed = self.objects().list(Some(&Path::from(BLOBS)));
         let mut orphans = Vec::new();
         while let Some(found) = listed.next().await {
             let found = found.map_err(failed)?;
-            if !named.contains(found.location.as_ref()) {
+            if !named.contains(found.location.as_ref()) && SystemTime::from(found.last_modified) <= before {
                 orphans.push((found.location.to_string(), found.size));
             }
         }

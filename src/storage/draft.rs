@@ -15,7 +15,7 @@ pub struct Draft {
     open: Option<(File, Sha256)>,
 }
 
-/// A file of a draft. Dropped, it goes, with the room that it took.
+/// A file of a draft. Dropped, it goes, with the room that it took, unless it is kept here.
 #[derive(Debug)]
 struct Incoming {
     store: Store,
@@ -23,18 +23,38 @@ struct Incoming {
     path: PathBuf,
     bytes: u64,
     sha256: [u8; 32],
+    /// Where a copy is in the bucket, or may be.
+    copy: Option<String>,
     kept: bool,
 }
 
 impl Drop for Incoming {
     fn drop(&mut self) {
-        if self.kept {
+        if self.kept && !self.store.is_shared() {
             return;
+        }
+        if let (Some(bucket), Some(copy), false) = (&self.store.0.bucket, &self.copy, self.kept) {
+            bucket.forget(copy);
         }
         if let Err(error) = fs::remove_file(&self.path) {
             tracing::warn!(path = %self.path.display(), %error, "a file could not be removed");
         }
         self.store.give_back(self.bytes);
+    }
+}
+
+impl Incoming {
+    /// Puts the file where its blob is looked for.
+    fn settle(&mut self, location: &str) -> Result<(), StoreError> {
+        let Some(bucket) = &self.store.0.bucket else {
+            let path = self.store.root().join(location);
+            fs::rename(&self.path, &path).map_err(io_error("renaming", &self.path))?;
+            self.path = path;
+            return Ok(());
+        };
+        self.copy = Some(location.to_owned());
+        let name = self.path.file_name().unwrap_or_default().to_string_lossy();
+        bucket.upload(self.store.0.local.clone(), format!("{INCOMING}/{name}"), location)
     }
 }
 
@@ -53,7 +73,7 @@ impl Draft {
         let file = File::create_new(&path).map_err(io_error("making", &path))?;
         self.open = Some((file, Sha256::new()));
         let (store, name) = (self.store.clone(), name.to_owned());
-        self.files.push(Incoming { store, name, path, bytes: 0, sha256: [0; 32], kept: false });
+        self.files.push(Incoming { store, name, path, bytes: 0, sha256: [0; 32], copy: None, kept: false });
         Ok(())
     }
 
@@ -70,21 +90,21 @@ impl Draft {
         Ok(())
     }
 
-    /// Makes every file a blob: its bytes are on the disk and it has its final name.
+    /// Makes every file a blob: its bytes are on the disk, or in the bucket, and it has its final name.
     pub fn finish(mut self) -> Result<Bundle, StoreError> {
         self.seal()?;
-        let blobs = self.store.root().join(BLOBS);
         let mut files = Vec::with_capacity(self.files.len());
         for incoming in &mut self.files {
             let location = format!("{BLOBS}/{}-{}", hex(&incoming.sha256), Uuid::now_v7().simple());
-            let path = self.store.root().join(&location);
-            fs::rename(&incoming.path, &path).map_err(io_error("renaming", &incoming.path))?;
-            incoming.path = path;
+            incoming.settle(&location)?;
             let Incoming { name, bytes, sha256, .. } = &*incoming;
             files.push(NewBlob { name: name.clone(), bytes: *bytes, sha256: *sha256, location });
         }
-        // The renames are on the disk once the folder is.
-        File::open(&blobs).and_then(|folder| folder.sync_all()).map_err(io_error("writing", &blobs))?;
+        if !self.store.is_shared() {
+            // The renames are on the disk once the folder is.
+            let blobs = self.store.root().join(BLOBS);
+            File::open(&blobs).and_then(|folder| folder.sync_all()).map_err(io_error("writing", &blobs))?;
+        }
         Ok(Bundle { files, incoming: std::mem::take(&mut self.files) })
     }
 
@@ -127,6 +147,14 @@ impl Bundle {
             if file.location == location {
                 incoming.kept = true;
             }
+        }
+    }
+
+    /// The answer of a shared database was lost, so that it may name these files or not: they stay, and what is not
+    /// named goes with the next sweep. A database of one process has not named what it refused.
+    pub fn leave_in_doubt(&mut self) {
+        for incoming in &mut self.incoming {
+            incoming.kept |= incoming.store.is_shared();
         }
     }
 

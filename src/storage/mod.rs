@@ -1,25 +1,29 @@
-//! Where uploads and artifacts are kept: one folder, in use by one process.
+//! Where uploads and artifacts are kept: one folder, in use by one process, or a bucket that many processes share.
 //!
 //! ```text
 //! DIR/lock                 held while a service uses the folder
 //! DIR/incoming/ID          a file that is being written
 //! DIR/blobs/SHA256-ID      a complete file; nobody changes it any more
+//! s3://BUCKET/PREFIX/blobs/SHA256-ID   the same, in a bucket
 //! ```
 //!
-//! A *blob* is a file whose content never changes. It appears by one rename after its bytes are on the disk, whole or
-//! not at all. Which blobs are in use is written in the job database, and nowhere else: a blob that the database does
+//! A *blob* is a file whose content never changes. It appears by one rename after its bytes are on the disk, or by one
+//! upload, whole or not at all. Which blobs are in use is written in the job database, and nowhere else: a blob that the database does
 //! not name is swept ([`Store::sweep`]), so a crash between the two leaves nothing behind for long. The name carries
 //! the digest for people, and an id so that removing one copy never hits another that was made in the same moment.
 //!
-//! Blobs are read, listed and removed through [`object_store`], so that another store can take the place of the
-//! local disk; an upload always lands on the local disk first.
+//! Blobs are read, listed and removed through [`object_store`]. An upload always lands on the local disk first, so that
+//! only what is complete travels to a bucket, and may be sent again. A prefix of a bucket belongs to one job database.
 
 mod blobs;
+mod bucket;
 mod draft;
 
 pub use blobs::{Content, ContentStream};
 pub use draft::{Bundle, Draft, NewBlob};
 
+use self::bucket::Bucket;
+use object_store::ObjectStore;
 use object_store::local::LocalFileSystem;
 use std::fs::{self, File};
 use std::io;
@@ -39,9 +43,11 @@ struct Folder {
     root: PathBuf,
     /// Held, not read: the operating system frees the lock with the file.
     _lock: File,
-    objects: LocalFileSystem,
+    local: Arc<LocalFileSystem>,
+    /// Where the blobs are, unless they are here.
+    bucket: Option<Bucket>,
     bytes_max: u64,
-    /// Bytes in drafts and blobs.
+    /// Bytes in drafts, and in blobs that are here.
     bytes: AtomicU64,
 }
 
@@ -55,6 +61,10 @@ pub enum StoreError {
     Io { doing: &'static str, path: PathBuf, source: io::Error },
     #[error("blob {location}: {source}")]
     Blob { location: String, source: object_store::Error },
+    #[error("blob {location} was not taken by the bucket: {source}")]
+    Upload { location: String, source: object_store::Error },
+    #[error("--storage: {reason}")]
+    Bucket { reason: String },
     #[error("the writing task ended early")]
     Interrupted,
 }
@@ -67,7 +77,20 @@ impl StoreError {
             StoreError::Io { source, .. } => {
                 matches!(source.kind(), io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded)
             }
-            StoreError::InUse { .. } | StoreError::Blob { .. } | StoreError::Interrupted => false,
+            StoreError::InUse { .. }
+            | StoreError::Blob { .. }
+            | StoreError::Upload { .. }
+            | StoreError::Bucket { .. }
+            | StoreError::Interrupted => false,
+        }
+    }
+
+    /// Whether the store did not answer as it should, which may pass.
+    pub fn is_away(&self) -> bool {
+        match self {
+            StoreError::Upload { .. } => true,
+            StoreError::Blob { .. } => !self.is_missing(),
+            _ => false,
         }
     }
 
@@ -84,6 +107,23 @@ fn io_error<'a>(doing: &'static str, path: &'a Path) -> impl FnOnce(io::Error) -
 impl Store {
     /// Opens `root`, making it when it is missing. At most `bytes_max` bytes are kept in it.
     pub fn open(root: &Path, bytes_max: u64) -> Result<Self, StoreError> {
+        Self::with(root, None, bytes_max)
+    }
+
+    /// Opens the bucket at `url` (`s3://BUCKET/PREFIX?endpoint=URL&region=NAME`; keys come from the usual `AWS_…`
+    /// `variables`). What is on its way lies in `root`, `bytes_max` bytes of it at most.
+    pub fn open_bucket(
+        root: &Path,
+        url: &str,
+        variables: impl Iterator<Item = (String, String)>,
+        bytes_max: u64,
+    ) -> Result<Self, StoreError> {
+        let bucket = Bucket::open(url, variables)?;
+        bucket.try_out()?;
+        Self::with(root, Some(bucket), bytes_max)
+    }
+
+    fn with(root: &Path, bucket: Option<Bucket>, bytes_max: u64) -> Result<Self, StoreError> {
         fs::create_dir_all(root).map_err(io_error("making", root))?;
         let root = &root.canonicalize().map_err(io_error("finding", root))?;
         let lock_path = root.join("lock");
@@ -100,9 +140,22 @@ impl Store {
         let blobs = root.join(BLOBS);
         fs::create_dir_all(&blobs).map_err(io_error("making", &blobs))?;
         let bytes = AtomicU64::new(bytes_in(&blobs)?);
-        let objects = LocalFileSystem::new_with_prefix(root)
+        let local = LocalFileSystem::new_with_prefix(root)
             .map_err(|source| StoreError::Blob { location: String::new(), source })?;
-        Ok(Self(Arc::new(Folder { root: root.to_owned(), _lock: lock, objects, bytes_max, bytes })))
+        let local = Arc::new(local);
+        Ok(Self(Arc::new(Folder { root: root.to_owned(), _lock: lock, local, bucket, bytes_max, bytes })))
+    }
+
+    /// Whether other processes may use the same blobs.
+    pub fn is_shared(&self) -> bool {
+        self.0.bucket.is_some()
+    }
+
+    fn objects(&self) -> &dyn ObjectStore {
+        match &self.0.bucket {
+            Some(bucket) => &*bucket.objects,
+            None => &*self.0.local,
+        }
     }
 
     /// The folder itself, for what else lives in it.
@@ -110,12 +163,12 @@ impl Store {
         &self.0.root
     }
 
-    /// Bytes kept now.
+    /// Bytes kept on this machine now.
     pub fn bytes(&self) -> u64 {
         self.0.bytes.load(Ordering::Relaxed)
     }
 
-    /// Bytes kept at most.
+    /// Bytes kept on this machine at most.
     pub fn bytes_max(&self) -> u64 {
         self.0.bytes_max
     }
@@ -162,6 +215,7 @@ mod tests {
     use super::*;
     use sha2::{Digest, Sha256};
     use std::collections::BTreeSet;
+    use std::time::Duration;
 
     fn entries(root: &Path) -> usize {
         [INCOMING, BLOBS].iter().map(|name| fs::read_dir(root.join(name)).expect("folder").count()).sum()
@@ -228,7 +282,7 @@ mod tests {
         drop(store);
         let store = Store::open(root.path(), 100).expect("opens again");
         assert_eq!((store.bytes(), entries(root.path())), (27, 2));
-        let swept = store.sweep(&BTreeSet::from([location.clone()])).await.expect("sweeps");
+        let swept = store.sweep(&BTreeSet::from([location.clone()]), Duration::ZERO).await.expect("sweeps");
         assert_eq!((swept, store.bytes(), entries(root.path())), (1, 5, 1));
         assert_eq!(store.content(&location, 5).read().await.expect("reads"), "known");
     }

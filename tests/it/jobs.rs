@@ -8,3 +8,5 @@ mod faults;
 mod kills;
 #[path = "jobs/lives.rs"]
 mod lives;
+#[path = "jobs/nodes.rs"]
+mod nodes;

@@ -2,9 +2,11 @@
 //! own in `jobs_store/engines.rs` and one line below.
 
 #[path = "jobs_store/engines.rs"]
-mod engines;
+pub mod engines;
 #[path = "jobs_store/keeping.rs"]
 mod keeping;
+#[path = "jobs_store/many.rs"]
+mod many;
 #[path = "jobs_store/sqlite_file.rs"]
 mod sqlite_file;
 #[path = "jobs_store/taking.rs"]
@@ -66,3 +68,4 @@ macro_rules! all_rules_on {
 }
 
 all_rules_on!(sqlite);
+all_rules_on!(postgres);

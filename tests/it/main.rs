@@ -1,6 +1,7 @@
 //! All integration tests, linked once. One module per claim-bearing area.
 
 mod architecture;
+mod bucket;
 mod examples;
 mod formats_decode;
 mod formats_gltf;
@@ -16,4 +17,6 @@ mod operation;
 mod pipeline;
 mod program;
 mod revision;
+#[path = "../stand_ins/s3.rs"]
+mod s3;
 mod skin;

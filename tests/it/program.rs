@@ -268,7 +268,7 @@ fn a_configuration_that_cannot_be_meant_is_refused_with_the_nearest_name() {
     let folder = tempfile::tempdir().expect("folder");
     for (text, said) in [
         ("worker = 2", "did you mean \"workers\"?"),
-        ("workers = 0", "at least 1"),
+        ("queue = 0", "at least 1"),
         ("listen = \"nowhere\"", "listen"),
         ("[server]\nworkers = 2", "no setting \"server\""),
         ("workers", "is not TOML"),
@@ -330,4 +330,21 @@ fn a_check_tells_what_stands_there_and_the_rig_is_told_the_same() {
     let report: Value = serde_json::from_slice(&report).expect("JSON");
     let (found, told) = (check["findings"].as_array().expect("a list"), report["findings"].as_array().expect("a list"));
     assert!(told.starts_with(found), "{told:#?} does not begin with {found:#?}");
+}
+
+#[test]
+fn processes_that_share_half_of_what_they_need_are_refused() {
+    let folder = tempfile::tempdir().expect("folder");
+    let database = ["--database", "postgres://rigs@127.0.0.1:9/rigs"];
+    let storage = ["--storage", "s3://rigs?endpoint=http://127.0.0.1:9"];
+    for (arguments, said) in [
+        (vec!["serve", "--listen", "127.0.0.1:0", "--workers", "0"], "nobody would do the work"),
+        (["serve", "--listen", "127.0.0.1:0"].into_iter().chain(database).collect(), "both --database and --storage"),
+        (["serve", "--listen", "127.0.0.1:0"].into_iter().chain(storage).collect(), "both --database and --storage"),
+        (["worker"].into_iter().chain(database).collect(), "of the service that it works for"),
+    ] {
+        let refused = rigsmith(folder.path(), &arguments);
+        assert_eq!(refused.status.code(), Some(2), "{}", stderr(&refused));
+        assert!(stderr(&refused).contains(said), "{}", stderr(&refused));
+    }
 }

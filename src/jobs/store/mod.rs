@@ -13,9 +13,12 @@
 //! 6. **Blobs.** The store alone says which blobs are in use; [`JobStore::collect`] forgets those that no asset, no
 //!    unfinished job and no kept result names, and its caller removes them.
 //!
-//! Every engine passes the suite in `tests/it/jobs_store`. [`sqlite`] is the embedded one.
+//! Every engine passes the suite in `tests/it/jobs_store`. [`sqlite`] is the embedded one; [`postgres`] is shared by many
+//! processes. Both run the statements in `sql`.
 
 pub(super) mod codec;
+pub mod postgres;
+mod sql;
 pub mod sqlite;
 
 use super::asset::Asset;
@@ -33,6 +36,7 @@ use async_trait::async_trait;
 use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::Duration;
+use tokio::sync::broadcast;
 
 /// A worker is taken for lost when it was not heard of for this long.
 pub const LEASE: Duration = Duration::from_secs(15);
@@ -42,6 +46,8 @@ pub const PASSING_TIME: Duration = Duration::from_secs(30);
 pub const LOSSES_MAX: u32 = 2;
 /// How long an idempotency key is remembered.
 pub const IDEMPOTENCY_TIME: Duration = Duration::from_secs(24 * 3600);
+/// How long a request may take to answer before its idempotency key is free again: its process is gone.
+pub const ANSWER_TIME: Duration = Duration::from_secs(15 * 60);
 
 /// The store cannot answer: its disk is full, its file cannot be written, its server is away.
 #[derive(Clone, Debug, thiserror::Error)]
@@ -235,6 +241,34 @@ pub enum Remembered {
     Mismatch,
 }
 
+/// What happened to jobs, perhaps in another process. Only a hint: it may get lost, and the facts are in the store.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum News {
+    /// Something happened to this job.
+    Job(JobId),
+    /// Whoever works on this job should stop.
+    Stop(JobId),
+    /// A job waits.
+    Queued,
+    /// News were missed.
+    Missed,
+}
+
+/// What one process does for all, now and then.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Duty {
+    /// Files that a crash left without a name are removed.
+    RemoveOrphans,
+}
+
+impl Duty {
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::RemoveOrphans => "remove_orphans",
+        }
+    }
+}
+
 /// Where jobs are written down. See the module for its rules.
 #[async_trait]
 pub trait JobStore: Send + Sync {
@@ -318,6 +352,12 @@ pub trait JobStore: Send + Sync {
 
     /// Keeps the answer for a key that was reserved; `None` frees the key.
     async fn remember(&self, caller: &Caller, key: &str, answer: Option<&[u8]>) -> Result<(), StoreFailure>;
+
+    /// Whether this process is the one to do `duty` now, which is due once in `every`.
+    async fn take_turn(&self, duty: Duty, every: Duration) -> Result<bool, StoreFailure>;
+
+    /// What other processes on the same jobs do; `None`: there are none.
+    fn news(&self) -> Option<broadcast::Receiver<News>>;
 
     /// Writes what is pending and closes.
     async fn close(&self);

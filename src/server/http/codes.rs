@@ -92,7 +92,7 @@ impl Code {
             Code::QuotaExceeded => ("quota_exceeded", Status::TOO_MANY_REQUESTS, "Your quota is used up", "You have as many unfinished jobs as one caller may have, or have sent as many bytes as one key may within the hour; limit says which."),
             Code::IdempotencyMismatch => ("idempotency_mismatch", Status::UNPROCESSABLE_ENTITY, "The key belongs to another request", "Within 24 hours an Idempotency-Key stands for one request; this one differs from it."),
             Code::IdempotencyInProgress => ("idempotency_in_progress", Status::CONFLICT, "Still being answered", "The first request with this Idempotency-Key has no answer yet."),
-            Code::StoreUnavailable => ("store_unavailable", Status::SERVICE_UNAVAILABLE, "Jobs cannot be written down", "The disk of the service is full or cannot be written. What was accepted before is kept."),
+            Code::StoreUnavailable => ("store_unavailable", Status::SERVICE_UNAVAILABLE, "Jobs cannot be written down", "The disk, database or storage of the service is full or does not answer. What was accepted before is kept."),
             Code::Starting => ("starting", Status::SERVICE_UNAVAILABLE, "The service is starting", "The networks are being loaded and tested."),
             Code::Work(Work::TooLarge) => ("too_large", Status::PAYLOAD_TOO_LARGE, "The upload is too large", "The upload has more bytes than the service takes."),
             Code::Work(Work::TooManyFaces) => ("too_many_faces", Status::PAYLOAD_TOO_LARGE, "Too many faces", "The mesh has more faces than the service takes."),

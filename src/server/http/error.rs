@@ -125,6 +125,12 @@ impl ApiError {
         if error.is_full() {
             return Self::new(Code::QueueFull, "the service has no room for another upload").retry_after(ROOM_RETRY);
         }
+        if error.is_away() {
+            tracing::error!(%error, "a request failed");
+            return Self::new(Code::StoreUnavailable, "the service cannot read or write its files now")
+                .retry_after(ROOM_RETRY)
+                .hint("send it again; the operator sees the cause in the log");
+        }
         Self::internal(error)
     }
 

@@ -1,6 +1,7 @@
 //! A store of each engine with a clock of its own, and what the rules need to talk to it.
 
 use rigsmith::jobs::clock::{Clock, ManualClock, Timestamp};
+use rigsmith::jobs::store::postgres::PostgresStore;
 use rigsmith::jobs::store::sqlite::SqliteStore;
 use rigsmith::jobs::store::{
     Admission, Claim, EndedWithout, Ending, Finish, JobStore, LEASE, Memory, NewFiles, NewJob,
@@ -10,6 +11,7 @@ use rigsmith::jobs::{
 };
 use rigsmith::storage::NewBlob;
 use sha2::{Digest, Sha256};
+use sqlx::Connection;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
@@ -22,7 +24,7 @@ pub struct Bench {
     pub second: Arc<dyn JobStore>,
     pub clock: Arc<ManualClock>,
     blobs: AtomicU64,
-    _folder: TempDir,
+    _folder: Option<TempDir>,
 }
 
 /// 2026-11-24, half past six.
@@ -35,7 +37,28 @@ pub async fn sqlite() -> Bench {
     let open = || SqliteStore::open(&path, clock.clone(), LEASE);
     let store = Arc::new(open().await.expect("opens"));
     let second = Arc::new(open().await.expect("opens twice"));
-    Bench { store, second, clock, blobs: AtomicU64::new(0), _folder: folder }
+    Bench { store, second, clock, blobs: AtomicU64::new(0), _folder: Some(folder) }
+}
+
+/// A database of its own on the server that `tests/postgres.py` starts.
+pub async fn postgres_url() -> String {
+    let server = std::env::var("TEST_POSTGRES_URL").expect(
+        "these tests need PostgreSQL: run them by `python3 tests/postgres.py -- cargo test --release`, as `make test` does",
+    );
+    let name = format!("test_{}", JobId::new());
+    let mut connection = sqlx::PgConnection::connect(&server).await.expect("the server answers");
+    sqlx::raw_sql(sqlx::AssertSqlSafe(format!("CREATE DATABASE {name}"))).execute(&mut connection).await.expect("made");
+    let (server, _) = server.rsplit_once('/').expect("a URL with the name of a database");
+    format!("{server}/{name}")
+}
+
+pub async fn postgres() -> Bench {
+    let url = postgres_url().await;
+    let clock = Arc::new(ManualClock::at(NOW));
+    let open = || PostgresStore::open_with_clock(&url, clock.clone(), LEASE);
+    let store = Arc::new(open().await.expect("opens"));
+    let second = Arc::new(open().await.expect("opens twice"));
+    Bench { store, second, clock, blobs: AtomicU64::new(0), _folder: None }
 }
 
 pub fn alice() -> Caller {

@@ -1,6 +1,6 @@
 //! How jobs end: by their work, by request, or not at all.
 
-use super::{append, rows};
+use super::{Columns, Connection, Lock, append, rows, sql};
 use crate::jobs::clock::Timestamp;
 use crate::jobs::event::EventKind;
 use crate::jobs::failure::JobError;
@@ -9,28 +9,30 @@ use crate::jobs::job::{JobResult, JobState};
 use crate::jobs::store::{Change, EndedWithout, Ending, Finish, Lease, StoreFailure, codec};
 use crate::jobs::submission::Caller;
 use crate::storage::NewBlob;
-use sqlx::{Row, SqliteConnection};
 
 pub async fn finish(
-    connection: &mut SqliteConnection,
+    connection: &mut impl Connection,
     lease: Lease,
     ending: &Ending,
     now: Timestamp,
 ) -> Result<Finish, StoreFailure> {
-    let held = sqlx::query(
-        "UPDATE jobs SET stage = coalesce(?, stage), timings = ? WHERE id = ? AND attempt = ? AND state = 'running' \
+    if ending.outcome.is_ok() {
+        connection.lock(Lock::Naming).await?;
+    }
+    let held = sql(
+        "UPDATE jobs SET stage = coalesce($1, stage), timings = $2 WHERE id = $3 AND attempt = $4 AND state = 'running' \
          RETURNING retention_ms",
     )
     .bind(ending.stage.map(|stage| stage.name()))
     .bind(codec::timings(&ending.timings).to_string())
-    .bind(lease.job.to_bytes().to_vec())
+    .bind(lease.job.to_bytes())
     .bind(i64::from(lease.attempt))
-    .fetch_optional(&mut *connection)
+    .optional(connection)
     .await?;
     let Some(held) = held else { return Ok(Finish::Fenced) };
     let kept = match &ending.outcome {
         Ok((result, files)) => {
-            let expires_at = Timestamp(now.0.saturating_add(held.try_get("retention_ms")?));
+            let expires_at = Timestamp(now.0.saturating_add(held.get("retention_ms")?));
             succeed(connection, lease.job, result, files, now, expires_at).await?
         }
         Err(EndedWithout::Canceled) => {
@@ -46,7 +48,7 @@ pub async fn finish(
 }
 
 async fn succeed(
-    connection: &mut SqliteConnection,
+    connection: &mut impl Connection,
     id: JobId,
     result: &JobResult,
     files: &[NewBlob],
@@ -55,15 +57,13 @@ async fn succeed(
 ) -> Result<Vec<String>, StoreFailure> {
     let kept = rows::name_blobs(connection, files, now).await?;
     rows::hold_blobs(connection, id, files.iter().map(|file| file.sha256)).await?;
-    sqlx::query(
-        "UPDATE jobs SET state = 'succeeded', progress = 100, finished_at = ?, expires_at = ?, result = ?, \
-         worker = NULL, lease_until = NULL WHERE id = ?",
-    )
+    sql("UPDATE jobs SET state = 'succeeded', progress = 100, finished_at = $1, expires_at = $2, result = $3, \
+         worker = NULL, lease_until = NULL WHERE id = $4")
     .bind(now.0)
     .bind(expires_at.0)
     .bind(codec::result(result).to_string())
-    .bind(id.to_bytes().to_vec())
-    .execute(&mut *connection)
+    .bind(id.to_bytes())
+    .execute(connection)
     .await?;
     append(connection, id, now, &success(result)).await?;
     Ok(kept)
@@ -79,28 +79,26 @@ pub fn success(result: &JobResult) -> Vec<EventKind> {
 
 /// Ends a job that waits or runs, without a result.
 pub async fn end(
-    connection: &mut SqliteConnection,
+    connection: &mut impl Connection,
     id: JobId,
     state: JobState,
     error: Option<&JobError>,
     now: Timestamp,
 ) -> Result<(), StoreFailure> {
-    sqlx::query(
-        "UPDATE jobs SET state = ?, error = ?, finished_at = ?, worker = NULL, lease_until = NULL \
-         WHERE id = ? AND state IN ('queued', 'running')",
-    )
+    sql("UPDATE jobs SET state = $1, error = $2, finished_at = $3, worker = NULL, lease_until = NULL \
+         WHERE id = $4 AND state IN ('queued', 'running')")
     .bind(state.name())
     .bind(error.map(|error| codec::error(error).to_string()))
     .bind(now.0)
-    .bind(id.to_bytes().to_vec())
-    .execute(&mut *connection)
+    .bind(id.to_bytes())
+    .execute(connection)
     .await?;
     append(connection, id, now, &[EventKind::Done { state, error: error.cloned() }]).await
 }
 
 /// A waiting job ends at once; a running one is asked to. Asking twice is asking once.
 pub async fn cancel(
-    connection: &mut SqliteConnection,
+    connection: &mut impl Connection,
     caller: &Caller,
     id: JobId,
     now: Timestamp,
@@ -112,10 +110,7 @@ pub async fn cancel(
             Ok(Change::Done)
         }
         Some(JobState::Running) => {
-            sqlx::query("UPDATE jobs SET cancel_requested = 1 WHERE id = ?")
-                .bind(id.to_bytes().to_vec())
-                .execute(connection)
-                .await?;
+            sql("UPDATE jobs SET cancel_requested = 1 WHERE id = $1").bind(id.to_bytes()).execute(connection).await?;
             Ok(Change::Requested)
         }
         Some(JobState::Canceled) => Ok(Change::Done),
@@ -123,12 +118,12 @@ pub async fn cancel(
     }
 }
 
-pub async fn delete(connection: &mut SqliteConnection, caller: &Caller, id: JobId) -> Result<Change, StoreFailure> {
+pub async fn delete(connection: &mut impl Connection, caller: &Caller, id: JobId) -> Result<Change, StoreFailure> {
     match rows::standing(connection, id, caller).await? {
         None => Ok(Change::NotFound),
         Some(JobState::Running) => Ok(Change::State(JobState::Running)),
         Some(_) => {
-            sqlx::query("DELETE FROM jobs WHERE id = ?").bind(id.to_bytes().to_vec()).execute(connection).await?;
+            sql("DELETE FROM jobs WHERE id = $1").bind(id.to_bytes()).execute(connection).await?;
             Ok(Change::Done)
         }
     }

@@ -1,7 +1,7 @@
 //! A job is written down, or found; uploads become assets.
 
 use super::rows::{self, JOB};
-use super::{append, int, millis, reading};
+use super::{Columns, Connection, Lock, append, int, millis, reading, sql};
 use crate::jobs::asset::Asset;
 use crate::jobs::clock::Timestamp;
 use crate::jobs::event::EventKind;
@@ -10,9 +10,9 @@ use crate::jobs::job::{FileInfo, Job, JobState};
 use crate::jobs::store::{Admission, IDEMPOTENCY_TIME, NewFiles, NewJob, StoreFailure, codec};
 use crate::jobs::submission::{Caller, Missing};
 use crate::jobs::upload::{asset_sha256, identity};
-use crate::storage::NewBlob;
+use crate::storage::{NewBlob, hex};
 use sha2::{Digest, Sha256};
-use sqlx::{Row, SqliteConnection};
+use sqlx::AssertSqlSafe;
 use std::time::SystemTime;
 
 /// The files of a new job, as far as they are kept already.
@@ -22,11 +22,8 @@ struct Files {
     memory_bytes: u64,
 }
 
-pub async fn submit(
-    connection: &mut SqliteConnection,
-    new: &NewJob,
-    now: Timestamp,
-) -> Result<Admission, StoreFailure> {
+pub async fn submit(connection: &mut impl Connection, new: &NewJob, now: Timestamp) -> Result<Admission, StoreFailure> {
+    reserve(connection, new).await?;
     let known = match &new.files {
         NewFiles::Received { .. } => None,
         NewFiles::Asset(id) => match asset(connection, &new.caller, *id).await? {
@@ -80,6 +77,23 @@ pub async fn submit(
     Ok(Admission::Admitted { job: Box::new(job), kept })
 }
 
+/// Keeps others from the same key, id and quota until this request is decided, and from the blobs that it names.
+async fn reserve(connection: &mut impl Connection, new: &NewJob) -> Result<(), StoreFailure> {
+    let caller = new.caller.name();
+    let name = |kind, name| Lock::Name { kind, caller, name };
+    if new.unfinished_max.is_some() {
+        connection.lock(name("quota", "")).await?;
+    }
+    if let Some(key) = &new.idempotency_key {
+        connection.lock(name("key", key)).await?;
+    }
+    if let Some(client_id) = &new.client_id {
+        connection.lock(name("id", client_id)).await?;
+    }
+    connection.lock(Lock::Naming).await?;
+    Ok(())
+}
+
 fn joined(first: &[u8; 32], second: &[u8; 32]) -> [u8; 32] {
     Sha256::new().chain_update(first).chain_update(second).finalize().into()
 }
@@ -96,23 +110,22 @@ fn files_digest(new: &NewJob, known: Option<&Files>) -> [u8; 32] {
 
 /// The job that the same request made before, by its idempotency key or by the caller's id.
 async fn repetition(
-    connection: &mut SqliteConnection,
+    connection: &mut impl Connection,
     new: &NewJob,
     fingerprint: &[u8; 32],
     now: Timestamp,
 ) -> Result<Option<Admission>, StoreFailure> {
     if let Some(key) = &new.idempotency_key {
-        let row =
-            sqlx::query("SELECT fingerprint, job FROM idempotency WHERE caller = ? AND key = ? AND expires_at > ?")
-                .bind(new.caller.name())
-                .bind(key)
-                .bind(now.0)
-                .fetch_optional(&mut *connection)
-                .await?;
+        let row = sql("SELECT fingerprint, job FROM idempotency WHERE caller = $1 AND key = $2 AND expires_at > $3")
+            .bind(new.caller.name())
+            .bind(key.as_str())
+            .bind(now.0)
+            .optional(connection)
+            .await?;
         if let Some(row) = row {
-            let job = row.try_get::<Option<&[u8]>, _>("job")?.map(rows::bytes).transpose()?.map(JobId::from_bytes);
+            let job = row.get::<Option<&[u8]>>("job")?.map(rows::bytes).transpose()?.map(JobId::from_bytes);
             return match job {
-                Some(id) if row.try_get::<&[u8], _>("fingerprint")? == fingerprint => {
+                Some(id) if row.get::<&[u8]>("fingerprint")? == fingerprint => {
                     let job = reading::snapshot(connection, id).await?;
                     Ok(job.map(|job| Admission::Replayed(Box::new(job))))
                 }
@@ -121,13 +134,13 @@ async fn repetition(
         }
     }
     if let Some(client_id) = &new.client_id {
-        let row = sqlx::query("SELECT id, fingerprint FROM jobs WHERE caller = ? AND client_id = ?")
+        let row = sql("SELECT id, fingerprint FROM jobs WHERE caller = $1 AND client_id = $2")
             .bind(new.caller.name())
-            .bind(client_id)
-            .fetch_optional(&mut *connection)
+            .bind(client_id.as_str())
+            .optional(connection)
             .await?;
         if let Some(row) = row {
-            if row.try_get::<Option<&[u8]>, _>("fingerprint")? != Some(fingerprint) {
+            if row.get::<Option<&[u8]>>("fingerprint")? != Some(fingerprint) {
                 return Ok(Some(Admission::ClientIdTaken));
             }
             let job = reading::snapshot(connection, rows::job_id(&row)?).await?;
@@ -137,42 +150,40 @@ async fn repetition(
     Ok(None)
 }
 
-async fn no_room(connection: &mut SqliteConnection, new: &NewJob) -> Result<Option<Admission>, StoreFailure> {
-    let counts = reading::counts(&mut *connection).await?;
+async fn no_room(connection: &mut impl Connection, new: &NewJob) -> Result<Option<Admission>, StoreFailure> {
+    let counts = reading::counts(connection).await?;
     if counts.queued >= new.waiting_max.saturating_add(new.workers.saturating_sub(counts.running)) {
         return Ok(Some(Admission::QueueFull { waiting: counts.queued }));
     }
     let Some(unfinished_max) = new.unfinished_max else { return Ok(None) };
-    let unfinished: i64 =
-        sqlx::query_scalar("SELECT count(*) FROM jobs WHERE caller = ? AND state IN ('queued', 'running')")
+    let unfinished =
+        sql("SELECT count(*) AS unfinished FROM jobs WHERE caller = $1 AND state IN ('queued', 'running')")
             .bind(new.caller.name())
-            .fetch_one(connection)
+            .one(connection)
             .await?;
-    let unfinished = usize::try_from(unfinished).unwrap_or(0);
+    let unfinished = usize::try_from(unfinished.get::<i64>("unfinished")?).unwrap_or(0);
     Ok((unfinished >= unfinished_max).then_some(Admission::QuotaExceeded { unfinished }))
 }
 
 async fn insert(
-    connection: &mut SqliteConnection,
+    connection: &mut impl Connection,
     id: JobId,
     new: &NewJob,
     files: &Files,
     (fingerprint, cache_key): (&[u8; 32], &[u8; 32]),
     now: Timestamp,
 ) -> Result<(), StoreFailure> {
-    sqlx::query(
-        "INSERT INTO jobs (id, caller, client_id, options, labels, files, skeleton, asset, priority, timeout_ms, \
+    sql("INSERT INTO jobs (id, caller, client_id, options, labels, files, skeleton, asset, priority, timeout_ms, \
          retention_ms, deadline_at, memory_bytes, state, created_at, queued_at, fingerprint, cache_key) \
-         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, 'queued', ?, ?, ?, ?)",
-    )
-    .bind(id.to_bytes().to_vec())
+         VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, $13, 'queued', $14, $15, $16, $17)")
+    .bind(id.to_bytes())
     .bind(new.caller.name())
     .bind(new.client_id.as_deref())
     .bind(new.options.to_json().to_string())
     .bind(codec::labels(&new.labels).to_string())
     .bind(codec::files(&files.infos).to_string())
-    .bind(new.skeleton.as_ref().map(|skeleton| skeleton.sha256.to_vec()))
-    .bind(files.asset.map(|asset| asset.to_bytes().to_vec()))
+    .bind(new.skeleton.as_ref().map(|skeleton| skeleton.sha256))
+    .bind(files.asset.map(|asset| asset.to_bytes()))
     .bind(rows::priority(new.priority))
     .bind(millis(new.timeout))
     .bind(millis(new.retention))
@@ -180,16 +191,16 @@ async fn insert(
     .bind(int(files.memory_bytes))
     .bind(now.0)
     .bind(now.0)
-    .bind(fingerprint.to_vec())
-    .bind(cache_key.to_vec())
-    .execute(&mut *connection)
+    .bind(*fingerprint)
+    .bind(*cache_key)
+    .execute(connection)
     .await?;
     for (name, value) in &new.labels {
-        sqlx::query("INSERT INTO job_labels (job, name, value) VALUES (?, ?, ?)")
-            .bind(id.to_bytes().to_vec())
-            .bind(name)
-            .bind(value)
-            .execute(&mut *connection)
+        sql("INSERT INTO job_labels (job, name, value) VALUES ($1, $2, $3)")
+            .bind(id.to_bytes())
+            .bind(name.as_str())
+            .bind(value.as_str())
+            .execute(connection)
             .await?;
     }
     Ok(())
@@ -197,60 +208,55 @@ async fn insert(
 
 /// A kept result of an equal job.
 async fn earlier_result(
-    connection: &mut SqliteConnection,
+    connection: &mut impl Connection,
     cache_key: &[u8; 32],
     now: Timestamp,
 ) -> Result<Option<Job>, StoreFailure> {
     let query = format!(
-        "{JOB} WHERE cache_key = ? AND state = 'succeeded' AND expires_at > ? ORDER BY finished_at DESC LIMIT 1"
+        "{JOB} WHERE cache_key = $1 AND state = 'succeeded' AND expires_at > $2 ORDER BY finished_at DESC LIMIT 1"
     );
-    let row =
-        sqlx::query(sqlx::AssertSqlSafe(query)).bind(cache_key.to_vec()).bind(now.0).fetch_optional(connection).await?;
+    let row = sql(AssertSqlSafe(query)).bind(*cache_key).bind(now.0).optional(connection).await?;
     row.map(|row| rows::job(&row)).transpose()
 }
 
 /// Ends a job that was just written down with the result of an earlier one.
 async fn succeed_at_once(
-    connection: &mut SqliteConnection,
+    connection: &mut impl Connection,
     id: JobId,
     earlier: &Job,
     now: Timestamp,
     expires_at: Timestamp,
 ) -> Result<(), StoreFailure> {
     let Some(result) = &earlier.result else { return Ok(()) };
-    sqlx::query(
-        "UPDATE jobs SET state = 'succeeded', stage = ?, progress = 100, started_at = ?, finished_at = ?, \
-         expires_at = ?, queue_ms = 0, result = ?, cached = 1 WHERE id = ?",
-    )
+    sql("UPDATE jobs SET state = 'succeeded', stage = $1, progress = 100, started_at = $2, finished_at = $3, \
+         expires_at = $4, queue_ms = 0, result = $5, cached = 1 WHERE id = $6")
     .bind(earlier.stage.map(|stage| stage.name()))
     .bind(now.0)
     .bind(now.0)
     .bind(expires_at.0)
     .bind(codec::result(result).to_string())
-    .bind(id.to_bytes().to_vec())
-    .execute(&mut *connection)
+    .bind(id.to_bytes())
+    .execute(connection)
     .await?;
     rows::hold_blobs(connection, id, result.artifacts.iter().map(|artifact| artifact.sha256)).await?;
     append(connection, id, now, &super::ending::success(result)).await
 }
 
 async fn note_key(
-    connection: &mut SqliteConnection,
+    connection: &mut impl Connection,
     caller: &Caller,
     key: &str,
     fingerprint: &[u8; 32],
     id: JobId,
     now: Timestamp,
 ) -> Result<(), StoreFailure> {
-    sqlx::query(
-        "INSERT INTO idempotency (caller, key, fingerprint, job, expires_at) VALUES (?, ?, ?, ?, ?) \
+    sql("INSERT INTO idempotency (caller, key, fingerprint, job, expires_at) VALUES ($1, $2, $3, $4, $5) \
          ON CONFLICT (caller, key) DO UPDATE SET fingerprint = excluded.fingerprint, job = excluded.job, \
-         answer = NULL, expires_at = excluded.expires_at",
-    )
+         answer = NULL, expires_at = excluded.expires_at")
     .bind(caller.name())
     .bind(key)
-    .bind(fingerprint.to_vec())
-    .bind(id.to_bytes().to_vec())
+    .bind(*fingerprint)
+    .bind(id.to_bytes())
     .bind(now.after(IDEMPOTENCY_TIME).0)
     .execute(connection)
     .await?;
@@ -277,7 +283,7 @@ pub struct UploadToKeep<'a> {
 
 /// Keeps files as an asset of `caller`, or finds them.
 pub async fn keep_files(
-    connection: &mut SqliteConnection,
+    connection: &mut impl Connection,
     caller: &Caller,
     upload: UploadToKeep<'_>,
     now: Timestamp,
@@ -285,18 +291,19 @@ pub async fn keep_files(
 ) -> Result<Put, StoreFailure> {
     let UploadToKeep { files, memory_bytes, explicit } = upload;
     let identity = identity(files.iter().map(|file| (file.name.as_str(), &file.sha256)));
-    let known: Option<Vec<u8>> = sqlx::query_scalar("SELECT id FROM assets WHERE caller = ? AND identity = ?")
+    connection.lock(Lock::Name { kind: "asset", caller: caller.name(), name: &hex(&identity) }).await?;
+    let known = sql("SELECT id FROM assets WHERE caller = $1 AND identity = $2")
         .bind(caller.name())
-        .bind(identity.to_vec())
-        .fetch_optional(&mut *connection)
+        .bind(identity)
+        .optional(connection)
         .await?;
-    if let Some(id) = known {
-        let id = AssetId::from_bytes(rows::bytes(&id)?);
+    if let Some(row) = known {
+        let id = AssetId::from_bytes(rows::bytes(row.get("id")?)?);
         touch(connection, Some(id), now, expires_at).await?;
-        sqlx::query("UPDATE assets SET explicit = max(explicit, ?) WHERE id = ?")
+        sql("UPDATE assets SET explicit = explicit | $1 WHERE id = $2")
             .bind(i64::from(explicit))
-            .bind(id.to_bytes().to_vec())
-            .execute(&mut *connection)
+            .bind(id.to_bytes())
+            .execute(connection)
             .await?;
         let found = asset(connection, caller, id).await?;
         let (asset, _) = found.ok_or_else(|| StoreFailure::new(&"an asset is not there"))?;
@@ -306,26 +313,24 @@ pub async fn keep_files(
     let kept = rows::name_blobs(connection, files, now).await?;
     let info = |file: &NewBlob| FileInfo { name: file.name.clone(), bytes: file.bytes, sha256: file.sha256 };
     let infos: Vec<FileInfo> = files.iter().map(info).collect();
-    sqlx::query(
-        "INSERT INTO assets (id, caller, identity, files, memory_bytes, explicit, created_at, used_at, expires_at) \
-         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)",
-    )
-    .bind(id.to_bytes().to_vec())
+    sql("INSERT INTO assets (id, caller, identity, files, memory_bytes, explicit, created_at, used_at, expires_at) \
+         VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9)")
+    .bind(id.to_bytes())
     .bind(caller.name())
-    .bind(identity.to_vec())
+    .bind(identity)
     .bind(codec::files(&infos).to_string())
     .bind(int(memory_bytes))
     .bind(i64::from(explicit))
     .bind(now.0)
     .bind(now.0)
     .bind(expires_at.0)
-    .execute(&mut *connection)
+    .execute(connection)
     .await?;
     for file in files {
-        sqlx::query("INSERT INTO asset_blobs (asset, sha256) VALUES (?, ?) ON CONFLICT DO NOTHING")
-            .bind(id.to_bytes().to_vec())
-            .bind(file.sha256.to_vec())
-            .execute(&mut *connection)
+        sql("INSERT INTO asset_blobs (asset, sha256) VALUES ($1, $2) ON CONFLICT DO NOTHING")
+            .bind(id.to_bytes())
+            .bind(file.sha256)
+            .execute(connection)
             .await?;
     }
     let asset = Asset {
@@ -340,59 +345,60 @@ pub async fn keep_files(
 
 /// An asset that is used lives on.
 async fn touch(
-    connection: &mut SqliteConnection,
+    connection: &mut impl Connection,
     id: Option<AssetId>,
     now: Timestamp,
     expires_at: Timestamp,
 ) -> Result<(), StoreFailure> {
     let Some(id) = id else { return Ok(()) };
-    sqlx::query("UPDATE assets SET used_at = max(used_at, ?), expires_at = max(expires_at, ?) WHERE id = ?")
-        .bind(now.0)
-        .bind(expires_at.0)
-        .bind(id.to_bytes().to_vec())
-        .execute(connection)
-        .await?;
+    sql("UPDATE assets SET used_at = CASE WHEN used_at < $1 THEN $1 ELSE used_at END, \
+         expires_at = CASE WHEN expires_at < $2 THEN $2 ELSE expires_at END WHERE id = $3")
+    .bind(now.0)
+    .bind(expires_at.0)
+    .bind(id.to_bytes())
+    .execute(connection)
+    .await?;
     Ok(())
 }
 
 /// An asset and the memory that rigging it is expected to need.
 pub async fn asset(
-    connection: &mut SqliteConnection,
+    connection: &mut impl Connection,
     caller: &Caller,
     id: AssetId,
 ) -> Result<Option<(Asset, u64)>, StoreFailure> {
-    let row = sqlx::query("SELECT files, memory_bytes, created_at, expires_at FROM assets WHERE id = ? AND caller = ?")
-        .bind(id.to_bytes().to_vec())
+    let row = sql("SELECT files, memory_bytes, created_at, expires_at FROM assets WHERE id = $1 AND caller = $2")
+        .bind(id.to_bytes())
         .bind(caller.name())
-        .fetch_optional(connection)
+        .optional(connection)
         .await?;
     let Some(row) = row else { return Ok(None) };
-    let files = codec::files_from(&codec::parse(row.try_get("files")?, "files")?)?;
-    let time = |column| Ok::<_, sqlx::Error>(SystemTime::from(Timestamp(row.try_get(column)?)));
+    let files = codec::files_from(&codec::parse(row.get("files")?, "files")?)?;
+    let time = |column| Ok::<_, StoreFailure>(SystemTime::from(Timestamp(row.get(column)?)));
     let (created_at, expires_at) = (time("created_at")?, time("expires_at")?);
-    let memory_bytes = u64::try_from(row.try_get::<i64, _>("memory_bytes")?).unwrap_or(0);
+    let memory_bytes = u64::try_from(row.get::<i64>("memory_bytes")?).unwrap_or(0);
     Ok(Some((Asset { id, sha256: asset_sha256(&files), files, created_at, expires_at }, memory_bytes)))
 }
 
 /// The files of an earlier job, while all of them are kept.
 async fn files_of_job(
-    connection: &mut SqliteConnection,
+    connection: &mut impl Connection,
     caller: &Caller,
     id: JobId,
 ) -> Result<Option<Files>, StoreFailure> {
-    let row = sqlx::query("SELECT files, asset, memory_bytes FROM jobs WHERE id = ? AND caller = ?")
-        .bind(id.to_bytes().to_vec())
+    let row = sql("SELECT files, asset, memory_bytes FROM jobs WHERE id = $1 AND caller = $2")
+        .bind(id.to_bytes())
         .bind(caller.name())
-        .fetch_optional(&mut *connection)
+        .optional(connection)
         .await?;
     let Some(row) = row else { return Ok(None) };
-    let infos = codec::files_from(&codec::parse(row.try_get("files")?, "files")?)?;
+    let infos = codec::files_from(&codec::parse(row.get("files")?, "files")?)?;
     for file in &infos {
         if rows::blob(connection, &file.sha256).await?.is_none() {
             return Ok(None);
         }
     }
-    let asset = row.try_get::<Option<&[u8]>, _>("asset")?.map(rows::bytes).transpose()?.map(AssetId::from_bytes);
-    let memory_bytes = u64::try_from(row.try_get::<i64, _>("memory_bytes")?).unwrap_or(0);
+    let asset = row.get::<Option<&[u8]>>("asset")?.map(rows::bytes).transpose()?.map(AssetId::from_bytes);
+    let memory_bytes = u64::try_from(row.get::<i64>("memory_bytes")?).unwrap_or(0);
     Ok(Some(Files { infos, asset, memory_bytes }))
 }
