@@ -15,8 +15,9 @@ FROM rust:1.95-bookworm AS build
 # The image's own toolchain, whatever rust-toolchain.toml would have rustup fetch.
 ENV RUSTUP_TOOLCHAIN=1.95.0
 WORKDIR /rigsmith
-COPY Cargo.toml Cargo.lock ./
+COPY Cargo.toml Cargo.lock build.rs ./
 COPY .cargo .cargo
+COPY proto proto
 COPY src src
 # Cargo wants every target of the manifest to exist, also those that are not built here.
 COPY benches benches

@@ -1,11 +1,15 @@
-//! The HTTP door: extract, call [`crate::jobs`], answer.
+//! The doors of the service, REST and gRPC on one port: extract, call [`crate::jobs`], answer.
 
 mod connections;
+mod exchanges;
+pub mod grpc;
 pub mod http;
 pub mod keys;
 mod metrics;
+mod orders;
 mod quota;
 mod run;
+mod uploads;
 
 pub use connections::ConnectionLimits;
 pub use run::{ServeError, run, serve, stop_signal};

@@ -125,6 +125,7 @@ fn limits(config: &ServeConfig) -> Limits {
             header_time_max: Duration::from_secs(config.header_seconds),
             header_bytes_max: config.header_kib as usize * 1024,
             write_pause_max: Duration::from_secs(config.download_pause_seconds),
+            ..ConnectionLimits::default()
         },
     }
 }

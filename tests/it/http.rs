@@ -19,4 +19,4 @@ pub mod scripted;
 #[path = "http/service.rs"]
 mod service;
 #[path = "http/socket.rs"]
-mod socket;
+pub mod socket;

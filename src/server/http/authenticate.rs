@@ -3,6 +3,7 @@
 use super::App;
 use super::error::{ApiError, Code};
 use crate::jobs::Caller;
+use crate::server::grpc;
 use crate::server::keys::Key;
 use axum::extract::{FromRequestParts, Request, State};
 use axum::http::request::Parts;
@@ -25,7 +26,7 @@ pub struct Identity {
 }
 
 impl Identity {
-    fn anonymous() -> Self {
+    pub fn anonymous() -> Self {
         Self { caller: Caller::anonymous(), jobs_max: None }
     }
 
@@ -46,7 +47,7 @@ impl<S: Send + Sync> FromRequestParts<S> for Identity {
 fn is_open(path: &str) -> bool {
     const OPEN: [&str; 8] =
         ["/", "/docs", "/livez", "/readyz", "/startupz", "/version", "/v1/openapi.json", "/v1/problems"];
-    OPEN.contains(&path) || path.starts_with("/v1/problems/")
+    OPEN.contains(&path) || path.starts_with("/v1/problems/") || grpc::is_open(path)
 }
 
 /// Lets a request pass when it has to show no key, or shows a known one that is within its rate.

@@ -1,4 +1,4 @@
-//! The REST interface. A handler extracts, calls [`crate::jobs`], and answers.
+//! The REST interface, and what every request goes through, gRPC too. A handler extracts, calls [`crate::jobs`], and answers.
 
 pub mod artifacts;
 pub mod assets;
@@ -6,28 +6,29 @@ pub mod authenticate;
 pub mod create;
 pub mod error;
 pub mod events;
-mod idempotency;
-mod media;
-mod negotiate;
+pub(super) mod idempotency;
+pub(super) mod media;
+pub(super) mod negotiate;
 pub mod openapi;
-mod outermost;
-mod receive;
+pub(super) mod outermost;
+pub(super) mod receive;
 pub mod request_views;
 pub mod rigs;
 mod segments;
 pub mod service;
-mod sink;
+pub(super) mod sink;
 pub(super) mod timestamp;
 pub mod verbs;
 pub mod views;
 pub mod wishes;
 
 use self::error::{ApiError, Code};
-use super::App;
+use super::{App, grpc};
 use axum::Router;
 use axum::extract::DefaultBodyLimit;
-use axum::http::{Method, Uri};
+use axum::http::{HeaderMap, Method, Uri};
 use axum::middleware::{from_fn, from_fn_with_state};
+use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
 use tower_http::catch_panic::CatchPanicLayer;
 
@@ -53,6 +54,7 @@ pub fn routes(app: App) -> Router {
         .route("/v1/rigs/{id}/events", get(events::rig_events))
         .route("/v1/rigs/{id}/artifacts", get(artifacts::list_artifacts))
         .route("/v1/rigs/{id}/artifacts/{name}", get(artifacts::get_artifact))
+        .merge(grpc::routes(&app))
         .fallback(no_such_path)
         .method_not_allowed_fallback(no_such_method)
         // Uploads have a limit of their own, in `receive`.
@@ -63,8 +65,11 @@ pub fn routes(app: App) -> Router {
         .with_state(app)
 }
 
-async fn no_such_path(uri: Uri) -> ApiError {
-    ApiError::not_found(&format!("path {}", uri.path())).hint("/docs lists every path")
+async fn no_such_path(uri: Uri, headers: HeaderMap) -> Response {
+    if grpc::is_grpc(&headers) {
+        return grpc::no_such_method(uri.path());
+    }
+    ApiError::not_found(&format!("path {}", uri.path())).hint("/docs lists every path").into_response()
 }
 
 /// axum adds `Allow`.
