@@ -42,6 +42,7 @@ STEPS = [
     Step("tests", [PYTHON, "tests/postgres.py", "--", "cargo", "test", "--release", "--locked", "--no-fail-fast"],
          CARGO_SUMMARY),  # fmt: skip
     Step("Python tests", [PYTHON, "-m", "pytest", "-q", "models/tests"], PYTEST_SUMMARY),
+    Step("stock gRPC client", [PYTHON, "tests/checks/stock_grpc.py"], CHECK_SUMMARY, ["program"]),
     Step("rigging of the cases", [PYTHON, "tests/checks/rig_cases.py", OUTPUTS], CHECK_SUMMARY, ["program"]),
     Step("glTF validator", ["node", "tests/checks/validate.mjs", OUTPUTS], CHECK_SUMMARY, ["program"]),
     Step("three.js", ["node", "tests/checks/threejs.mjs", OUTPUTS], CHECK_SUMMARY, ["program"]),

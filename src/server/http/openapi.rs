@@ -16,7 +16,8 @@ use utoipa::OpenApi;
 #[openapi(
     info(
         title = "Rigsmith",
-        description = "Rigs characters: send a mesh, get the same file back with a skeleton and skin weights.",
+        description = "Rigs characters: send a mesh, get the same file back with a skeleton and skin weights. The same port speaks gRPC \
+                       (rigsmith.v1.RigService, described by reflection).",
         license(name = "MIT OR Apache-2.0", identifier = "MIT OR Apache-2.0"),
     ),
     servers((url = "/", description = "This service")),
