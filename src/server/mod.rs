@@ -1,5 +1,6 @@
 //! The doors of the service, REST and gRPC on one port: extract, call [`crate::jobs`], answer.
 
+pub mod batches;
 mod connections;
 mod exchanges;
 pub mod grpc;
@@ -20,7 +21,7 @@ use crate::jobs::Jobs;
 use axum::Router;
 use std::sync::Arc;
 use std::time::Duration;
-use tokio::sync::{Semaphore, watch};
+use tokio::sync::{Notify, Semaphore, watch};
 
 /// What handlers need. Clones share it.
 #[derive(Clone)]
@@ -31,6 +32,8 @@ pub struct App {
     /// `None`: everybody may ask.
     keys: Option<Keys>,
     buckets: Arc<Buckets>,
+    /// A batch was handed in.
+    batch_came: Arc<Notify>,
     /// `true` once the service stops: streams without an end end then.
     closing: Arc<watch::Sender<bool>>,
 }
@@ -67,7 +70,15 @@ impl Default for Limits {
 impl App {
     pub fn new(jobs: Jobs, limits: Limits) -> Self {
         let uploads = Arc::new(Semaphore::new(limits.uploads_max));
-        Self { jobs, limits, uploads, keys: None, buckets: Arc::default(), closing: Arc::default() }
+        Self {
+            jobs,
+            limits,
+            uploads,
+            keys: None,
+            buckets: Arc::default(),
+            batch_came: Arc::default(),
+            closing: Arc::default(),
+        }
     }
 
     /// Only callers who send one of `keys` may ask.

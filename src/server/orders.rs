@@ -77,6 +77,9 @@ pub struct Reskin {
 impl Reskin {
     /// `asked` has read the fields named in `fields`; the others are as the earlier job had them.
     pub fn prepare(app: &App, of: Job, mut asked: WishesReader, fields: &[&str]) -> Result<Self, ApiError> {
+        if fields.contains(&"skeleton") {
+            return Err(ApiError::field("skeleton", "is sent beside the options, not among them"));
+        }
         let levels = ["detail", "bandwidth"];
         for (name, value) in of.request.options.to_json().as_object().into_iter().flatten() {
             // Detail and bandwidth stand for each other: one that is asked for replaces either.

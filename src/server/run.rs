@@ -1,7 +1,7 @@
 //! From start to stop.
 
 use super::keys::{Keys, KeysError, Quota};
-use super::{App, ConnectionLimits, Limits, app, connections, metrics};
+use super::{App, ConnectionLimits, Limits, app, batches, connections, metrics};
 use crate::config::ServeConfig;
 use crate::jobs::{Jobs, Rigger, Settings, StartError, cores};
 use crate::storage::{Store, StoreError};
@@ -164,11 +164,13 @@ pub async fn run(listener: TcpListener, shutdown: impl Future<Output = ()>, stat
         // An error says that `close` is dropped, which means the same.
         let _ = closed.await;
     };
+    let feeding = tokio::spawn(batches::feed(state.clone()));
     let server = tokio::spawn(connections::serve(listener, app(state), limits.connection, closed, LAST_WAIT));
     shutdown.await;
     drain(&jobs, limits.grace).await;
     closing.send_replace(true);
     drop(close);
+    feeding.await.map_err(io::Error::other)?;
     server.await.map_err(io::Error::other)
 }
 

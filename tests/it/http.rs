@@ -4,6 +4,8 @@
 mod artifacts;
 #[path = "http/assets.rs"]
 mod assets;
+#[path = "http/batches.rs"]
+mod batches;
 #[path = "http/callers.rs"]
 mod callers;
 #[path = "http/events.rs"]

@@ -1,6 +1,7 @@
 //! All integration tests, linked once. One module per claim-bearing area.
 
 mod architecture;
+mod batch;
 mod doors;
 mod examples;
 mod formats_decode;

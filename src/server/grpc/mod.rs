@@ -46,11 +46,6 @@ pub fn routes(app: &App) -> Router<App> {
     router = add(router, app, OperationsServer::new(OperationsDoor::new(app)));
     router = add(router, app, HealthServer::new(HealthDoor::new(app)));
     // Both versions are about: older clients ask for the first alone.
-    let reflection = || {
-        tonic_reflection::server::Builder::configure()
-            .register_encoded_file_descriptor_set(proto::DESCRIPTORS)
-            .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
-    };
     router = match reflection().build_v1() {
         Ok(service) => add(router, app, service),
         Err(error) => undescribed(router, &error),
@@ -59,6 +54,16 @@ pub fn routes(app: &App) -> Router<App> {
         Ok(service) => add(router, app, service),
         Err(error) => undescribed(router, &error),
     }
+}
+
+/// What there is to describe: our services, and those that describe and probe them.
+fn reflection() -> tonic_reflection::server::Builder<'static> {
+    tonic_reflection::server::Builder::configure()
+        .include_reflection_service(false)
+        .register_encoded_file_descriptor_set(proto::DESCRIPTORS)
+        .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
+        .register_encoded_file_descriptor_set(tonic_reflection::pb::v1::FILE_DESCRIPTOR_SET)
+        .register_encoded_file_descriptor_set(tonic_reflection::pb::v1alpha::FILE_DESCRIPTOR_SET)
 }
 
 /// Descriptors are compiled in; a test sees that they can be read.
@@ -155,11 +160,6 @@ mod tests {
 
     #[test]
     fn the_compiled_descriptors_can_be_read() {
-        let builder = || {
-            tonic_reflection::server::Builder::configure()
-                .register_encoded_file_descriptor_set(proto::DESCRIPTORS)
-                .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
-        };
-        assert!(builder().build_v1().is_ok() && builder().build_v1alpha().is_ok());
+        assert!(reflection().build_v1().is_ok() && reflection().build_v1alpha().is_ok());
     }
 }

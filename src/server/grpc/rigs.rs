@@ -134,9 +134,6 @@ impl RigService for RigDoor {
         let ReskinRigRequest { skeleton, options, request_id, no_cache, .. } = request.into_inner();
         let terms = terms(&request_id, String::new(), no_cache, deadline)?;
         let (wishes, fields) = read(options);
-        if fields.contains(&"skeleton") {
-            return Err(ApiError::field("options.skeleton", "is the field skeleton of this request").into());
-        }
         let reskin = Reskin::prepare(&self.app, job, wishes, &fields)?;
         let Submitted { job, .. } = reskin.place(&self.app, &identity, &skeleton, terms).await?;
         Ok(about(&job, operation(&job)))

@@ -3,11 +3,14 @@
 pub mod artifacts;
 pub mod assets;
 pub mod authenticate;
+mod batch_items;
+pub mod batch_views;
+pub mod batches;
 pub mod create;
 pub mod error;
 pub mod events;
 pub(super) mod idempotency;
-pub(super) mod media;
+pub mod media;
 pub(super) mod negotiate;
 pub mod openapi;
 pub(super) mod outermost;
@@ -48,6 +51,9 @@ pub fn routes(app: App) -> Router {
         .route("/v1/assets", post(assets::create_asset))
         .route("/v1/assets/{id}", get(assets::get_asset).delete(assets::delete_asset))
         .route("/v1/assets/{id}/content", get(assets::get_asset_content))
+        .route("/v1/batches", get(batches::list_batches).post(batches::create_batch))
+        .route("/v1/batches/{id}", get(batches::get_batch).post(batches::batch_verb))
+        .route("/v1/batches/{id}/results", get(batches::get_batch_results))
         .route("/v1/rigs", get(rigs::list_rigs).post(create::create_rig))
         .route("/v1/rigs:check", post(create::check_rig))
         .route("/v1/rigs/{id}", get(rigs::get_rig).put(create::put_rig).delete(rigs::delete_rig).post(verbs::rig_verb))

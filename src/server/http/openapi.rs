@@ -2,7 +2,7 @@
 
 use super::error::{Code, ProblemView};
 use super::request_views::RequestView;
-use super::{artifacts, assets, create, events, rigs, service, verbs};
+use super::{artifacts, assets, batches, create, events, rigs, service, verbs};
 use crate::jobs::ErrorCode;
 use axum::Json;
 use axum::http::header;
@@ -24,6 +24,7 @@ use utoipa::OpenApi;
     tags(
         (name = "rigs", description = "A mesh in, a rig out."),
         (name = "assets", description = "Meshes that are kept, to be rigged more than once."),
+        (name = "batches", description = "Many rigs at once, behind everything else."),
         (name = "artifacts", description = "The files that were made."),
         (name = "service", description = "What runs here, and how it is."),
     ),
@@ -33,6 +34,7 @@ use utoipa::OpenApi;
         verbs::cancel_rig, verbs::export_rig, verbs::reskin_rig,
         assets::create_asset, assets::get_asset, assets::delete_asset, assets::get_asset_content,
         artifacts::list_artifacts, artifacts::get_artifact,
+        batches::create_batch, batches::get_batch, batches::list_batches, batches::cancel_batch, batches::get_batch_results,
         service::list_methods, service::list_problems, service::get_problem,
         service::livez, service::readyz, service::startupz, service::version,
     ),
@@ -105,6 +107,19 @@ const RESKINNING: &[Code] = &[
     Code::Work(ErrorCode::SkeletonInvalid),
     Code::Work(ErrorCode::OutOfMemory),
 ];
+/// Refusals of what brings many requests at once.
+const BATCHING: &[Code] = &[
+    Code::InvalidJson,
+    Code::UploadIncomplete,
+    Code::UploadTimeout,
+    Code::NotFound,
+    Code::QueueFull,
+    Code::IdempotencyMismatch,
+    Code::IdempotencyInProgress,
+    Code::Work(ErrorCode::TooLarge),
+    Code::Work(ErrorCode::UnsupportedMediaType),
+    Code::Work(ErrorCode::Draining),
+];
 /// Refusals of whatever asks for a key, and of a service whose jobs cannot be read or written.
 const GUARDED: &[Code] =
     &[Code::Unauthenticated, Code::RateLimited, Code::StoreUnavailable, Code::Work(ErrorCode::Internal)];
@@ -130,6 +145,11 @@ const PROBLEMS: &[(&str, &[&[Code]])] = &[
     ("get_asset_content", &[GUARDED, ASKING, &[Code::NotFound, Code::Expired, Code::RangeNotSatisfiable]]),
     ("list_artifacts", &[GUARDED, ASKING, &[Code::NotFound, Code::Expired]]),
     ("get_artifact", &[GUARDED, ASKING, &[Code::NotFound, Code::Expired, Code::RangeNotSatisfiable]]),
+    ("create_batch", &[GUARDED, ASKING, BATCHING]),
+    ("get_batch", &[GUARDED, ASKING, &[Code::NotFound]]),
+    ("list_batches", &[GUARDED, ASKING]),
+    ("cancel_batch", &[GUARDED, ASKING, &[Code::NotFound]]),
+    ("get_batch_results", &[GUARDED, ASKING, &[Code::NotFound]]),
     ("list_methods", &[GUARDED, ASKING]),
     ("get_problem", &[&[Code::NotFound]]),
     ("readyz", &[&[Code::Starting, Code::Work(ErrorCode::Draining), Code::Work(ErrorCode::ModelUnavailable)]]),

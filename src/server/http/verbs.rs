@@ -161,9 +161,6 @@ async fn reskin_rig(app: &App, identity: Identity, id: &str, request: Request) -
     let mut wishes = WishesReader::default();
     let asked = query_pairs(request.uri())?;
     asked.iter().for_each(|(name, value)| wishes.text(name, value));
-    if asked.iter().any(|(name, _)| name == "skeleton") {
-        return Err(ApiError::field("skeleton", "is the body of this request"));
-    }
     let fields: Vec<&str> = asked.iter().map(|(name, _)| name.as_str()).collect();
     let reskin = Reskin::prepare(app, job, wishes, &fields)?;
     let skeleton = receive::body_bytes(app, request, app.limits.upload_bytes_max).await?;

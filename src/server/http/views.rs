@@ -1,6 +1,6 @@
 //! What goes over the wire as JSON. Built from inner types here, and nowhere else.
 
-use super::error::Limit;
+use super::error::{ApiError, Limit, ProblemView};
 use super::request_views::RequestView;
 use super::timestamp::rfc3339;
 use crate::formats::Severity;
@@ -375,6 +375,13 @@ impl From<&Notice> for FindingView {
             Severity::Warning => "warning",
         };
         Self { code: finding.code.clone(), severity, message: finding.message.clone(), hint: finding.hint.clone() }
+    }
+}
+
+impl From<&ApiError> for JobErrorView {
+    fn from(error: &ApiError) -> Self {
+        let ProblemView { r#type, detail, code, retryable, stage, hint, limit, .. } = error.view("", "");
+        Self { code, stage, message: detail, hint, retryable, r#type, limit }
     }
 }
 
