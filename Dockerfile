@@ -26,9 +26,9 @@ COPY fuzz/seeds.rs fuzz/seeds.rs
 RUN cargo build --release --locked --bin rigsmith
 
 FROM debian:bookworm-slim
-# ONNX Runtime and the mesh library need the C++ runtime.
+# ONNX Runtime and the mesh library need the C++ runtime; fetching (--outgoing) needs the authorities that it trusts.
 RUN apt-get update \
-    && apt-get install -y --no-install-recommends libstdc++6 \
+    && apt-get install -y --no-install-recommends ca-certificates libstdc++6 \
     && rm -rf /var/lib/apt/lists/* \
     && useradd --uid 10001 --user-group --home-dir /var/lib/rigsmith --create-home --shell /usr/sbin/nologin rigsmith
 # Where the program looks for what it needs: ../lib/rigsmith and ../share/rigsmith/models beside its own folder.

@@ -67,6 +67,15 @@ pub struct ServeConfig {
     #[arg(long, env = "RIGSMITH_KEY_JOBS", value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..))]
     pub key_jobs: u32,
 
+    /// Fetch meshes from addresses that callers name (asset.url): https, on the public internet alone
+    #[arg(long, env = "RIGSMITH_OUTGOING", value_name = "BOOL", default_value = "false", num_args = 0..=1,
+        default_missing_value = "true", action = clap::ArgAction::Set, value_parser = BoolishValueParser::new())]
+    pub outgoing: bool,
+
+    /// Hosts, separated by commas, that may be asked wherever they are, over http too
+    #[arg(long, env = "RIGSMITH_OUTGOING_HOSTS", value_name = "HOSTS")]
+    pub outgoing_hosts: Option<String>,
+
     /// Folder for uploads and results while they are needed; made when missing
     #[arg(long, env = "RIGSMITH_DATA", value_name = "DIR", default_value = "data")]
     pub data: PathBuf,

@@ -18,6 +18,7 @@ pub use run::{ServeError, run, serve, stop_signal};
 use self::keys::Keys;
 use self::quota::Buckets;
 use crate::jobs::Jobs;
+use crate::outgoing::Outgoing;
 use axum::Router;
 use std::sync::Arc;
 use std::time::Duration;
@@ -32,6 +33,8 @@ pub struct App {
     /// `None`: everybody may ask.
     keys: Option<Keys>,
     buckets: Arc<Buckets>,
+    /// The way out, to fetch meshes; `None`: none are fetched.
+    outgoing: Option<Outgoing>,
     /// A batch was handed in.
     batch_came: Arc<Notify>,
     /// `true` once the service stops: streams without an end end then.
@@ -76,9 +79,16 @@ impl App {
             uploads,
             keys: None,
             buckets: Arc::default(),
+            outgoing: None,
             batch_came: Arc::default(),
             closing: Arc::default(),
         }
+    }
+
+    /// Meshes are fetched from where callers say.
+    pub fn with_outgoing(mut self, outgoing: Outgoing) -> Self {
+        self.outgoing = Some(outgoing);
+        self
     }
 
     /// Only callers who send one of `keys` may ask.

@@ -4,6 +4,7 @@ use super::keys::{Keys, KeysError, Quota};
 use super::{App, ConnectionLimits, Limits, app, batches, connections, metrics};
 use crate::config::ServeConfig;
 use crate::jobs::{Jobs, Rigger, Settings, StartError, cores};
+use crate::outgoing::{Outgoing, OutgoingError, SystemNames};
 use crate::storage::{Store, StoreError};
 use crate::telemetry;
 use std::io;
@@ -37,6 +38,8 @@ pub enum ServeError {
     Store(#[from] StoreError),
     #[error(transparent)]
     Start(#[from] StartError),
+    #[error("requests to other places cannot be made: {0}")]
+    Outgoing(#[from] OutgoingError),
     #[error("the service ended: {0}")]
     Io(#[from] io::Error),
 }
@@ -53,6 +56,7 @@ impl ServeError {
             Self::NoKeys { .. } => "make a key with rigsmith keys new",
             Self::Keys(_) => "rigsmith keys new makes the file; rigsmith keys list reads it",
             Self::Store(_) | Self::Start(_) => "name another folder by --data",
+            Self::Outgoing(_) => "leave --outgoing out",
             Self::Io(_) => "",
         }
     }
@@ -80,12 +84,21 @@ pub async fn serve(
     if let Some(keys) = keys {
         app = app.with_keys(keys);
     }
+    if config.outgoing {
+        app = app.with_outgoing(Outgoing::new(Arc::new(SystemNames), &trusted(config))?);
+    }
     let background = background(config, &app).await?;
     listening(listener.local_addr()?);
     let ended = run(listener, stop_signal(), app).await;
     background.iter().for_each(JoinHandle::abort);
     jobs.close().await;
     Ok(ended?)
+}
+
+/// The hosts that outgoing requests may go to wherever they are.
+fn trusted(config: &ServeConfig) -> Vec<String> {
+    let hosts = config.outgoing_hosts.iter().flat_map(|hosts| hosts.split(','));
+    hosts.map(str::trim).filter(|host| !host.is_empty()).map(str::to_owned).collect()
 }
 
 /// The workers that the cores allow.

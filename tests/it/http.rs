@@ -12,6 +12,8 @@ mod callers;
 mod events;
 #[path = "http/examples.rs"]
 mod examples;
+#[path = "http/fetching.rs"]
+mod fetching;
 #[path = "http/jobs.rs"]
 mod jobs;
 #[path = "http/refusals.rs"]

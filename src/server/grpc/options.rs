@@ -3,12 +3,13 @@
 
 use super::super::App;
 use super::super::http::error::ApiError;
+use super::super::http::fetch::Wanted;
 use super::super::http::wishes::WishesReader;
 use super::super::http::{idempotency, media};
 use super::super::orders::{self, Terms};
 use super::super::uploads::{self, asset_id};
 use super::proto::rigsmith::v1::mesh::Mesh as MeshIs;
-use super::proto::rigsmith::v1::{InlineMesh, Mesh, RigOptions};
+use super::proto::rigsmith::v1::{FetchedMesh, InlineMesh, Mesh, RigOptions};
 use crate::jobs::Source;
 use serde_json::Value;
 use std::time::SystemTime;
@@ -76,6 +77,10 @@ pub async fn source(app: &App, mesh: Option<Mesh>) -> Result<Source, ApiError> {
         Some(MeshIs::Inline(InlineMesh { media_type, data })) => {
             let name = media::name_for(&media_type)?;
             uploads::inline(app, &name, data).await.map(Source::Upload)
+        }
+        Some(MeshIs::Fetched(FetchedMesh { url, sha256 })) => {
+            let sha256 = Some(sha256.as_str()).filter(|text| !text.is_empty());
+            Wanted::new(url, sha256)?.fetch(app).await.map(Source::Upload)
         }
         None => Err(ApiError::field("mesh", "is missing").hint("UploadAsset keeps a mesh and gives its id")),
     }

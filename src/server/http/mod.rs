@@ -9,6 +9,7 @@ pub mod batches;
 pub mod create;
 pub mod error;
 pub mod events;
+pub(super) mod fetch;
 pub(super) mod idempotency;
 pub mod media;
 pub(super) mod negotiate;

@@ -59,6 +59,8 @@ const UPLOADING: &[Code] = &[
 ];
 /// of what needs the networks,
 const WORKING: &[Code] = &[Code::InvalidJson, Code::NotFound, Code::Starting, Code::Work(ErrorCode::ModelUnavailable)];
+/// of what fetches,
+const FETCHING: &[Code] = &[Code::FetchFailed];
 /// of what makes jobs and answers with their file,
 const CREATING: &[Code] = &[
     Code::Conflict,
@@ -126,9 +128,9 @@ const GUARDED: &[Code] =
 
 /// Which refusals each operation may answer with, by its id. Operations that are not here refuse nothing.
 const PROBLEMS: &[(&str, &[&[Code]])] = &[
-    ("create_rig", &[GUARDED, UPLOADING, WORKING, CREATING, READING]),
-    ("put_rig", &[GUARDED, UPLOADING, WORKING, CREATING, READING]),
-    ("check_rig", &[GUARDED, UPLOADING, WORKING, READING]),
+    ("create_rig", &[GUARDED, UPLOADING, WORKING, FETCHING, CREATING, READING]),
+    ("put_rig", &[GUARDED, UPLOADING, WORKING, FETCHING, CREATING, READING]),
+    ("check_rig", &[GUARDED, UPLOADING, WORKING, FETCHING, READING]),
     ("get_rig", &[GUARDED, ASKING, &[Code::NotFound]]),
     ("list_rigs", &[GUARDED, ASKING]),
     ("cancel_rig", &[GUARDED, ASKING, &[Code::NotFound, Code::NotCancelable]]),

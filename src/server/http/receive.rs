@@ -2,6 +2,7 @@
 
 use super::App;
 use super::error::{ApiError, Code};
+use super::fetch;
 use super::media::{self, Body};
 use super::negotiate::{query, query_pairs};
 use super::sink::{Deadline, Sink};
@@ -97,6 +98,9 @@ async fn json_order(app: &App, request: Request, wishes: &mut WishesReader) -> R
     wishes.clone().finish(app.jobs.settings())?;
     match asset {
         Some(Value::String(id)) => asset_id(&id).map(Source::Asset),
+        Some(Value::Object(given)) if given.contains_key("url") => {
+            fetch::Wanted::of_json(&given)?.fetch(app).await.map(Source::Upload)
+        }
         Some(Value::Object(given)) => inline_mesh(app, &given).await.map(Source::Upload),
         Some(other) => Err(ApiError::field("asset", format!("{other} is neither an id nor an object"))),
         None => Err(ApiError::field("asset", "is missing")
@@ -132,15 +136,10 @@ pub async fn body_bytes(app: &App, request: Request, bytes_max: u64) -> Result<V
 
 /// A small mesh within the JSON.
 async fn inline_mesh(app: &App, given: &Map<String, Value>) -> Result<Received, ApiError> {
-    if given.contains_key("url") {
-        return Err(ApiError::unknown_field(
-            "asset.url",
-            "asset.inline, and ids of assets; this service fetches nothing",
-        )
-        .hint("download the file and POST it to /v1/assets"));
-    }
     let inner = given.get("inline").filter(|_| given.len() == 1).and_then(Value::as_object);
-    let inner = inner.ok_or_else(|| ApiError::unknown_field("asset", "asset.inline with media_type and base64"))?;
+    let inner = inner.ok_or_else(|| {
+        ApiError::unknown_field("asset", "asset.inline with media_type and base64, or asset.url with sha256")
+    })?;
     if let Some(name) = inner.keys().find(|name| !["media_type", "base64"].contains(&name.as_str())) {
         return Err(ApiError::unknown_field(&format!("asset.inline.{name}"), "media_type, base64"));
     }

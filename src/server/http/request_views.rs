@@ -113,7 +113,8 @@ pub struct RequestView {
 #[schema(as = CreateRig)]
 pub struct CreateView {
     /// Id of an asset; or a small mesh in the request itself, as
-    /// `{"inline": {"media_type": "model/gltf-binary", "base64": "…"}}`, 4 MiB at most.
+    /// `{"inline": {"media_type": "model/gltf-binary", "base64": "…"}}`, 4 MiB at most; or where the mesh is, as
+    /// `{"url": "https://…", "sha256": "…"}`, where the operator allows fetching.
     #[schema(value_type = String, example = "ast_01jdf5fj5rfxm8s1m2q1d2zt8v")]
     pub asset: String,
     #[schema(inline)]

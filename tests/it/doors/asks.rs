@@ -8,6 +8,7 @@ use serde_json::{Value, json};
 pub enum Mesh {
     Inline(&'static str, Vec<u8>),
     Asset(String),
+    Url(String),
 }
 
 #[derive(Clone, Debug)]

@@ -76,6 +76,7 @@ async fn orders_give_the_same_rigs_and_refusals() {
         Ask::Create(Create { mesh: Mesh::Inline(media_type, bytes.to_vec()), ..create("", json!({})) })
     };
     let of = |id: &str| Ask::Create(Create { mesh: Mesh::Asset(id.to_owned()), ..create("", json!({"seed": 3})) });
+    let from = |url: &str| Ask::Create(Create { mesh: Mesh::Url(url.to_owned()), ..create("", json!({})) });
     let keyed = |key: &str, seed: u64| {
         Ask::Create(Create { key: Some(key.to_owned()), ..create("ok 3", json!({"seed": seed})) })
     };
@@ -101,6 +102,7 @@ async fn orders_give_the_same_rigs_and_refusals() {
             (of(&world.asset), ""),
             (of("ast_00000000000000000000000000"), "not_found"),
             (of("asset"), "not_found"),
+            (from("https://example.com/a.glb"), "invalid_parameter"),
             (order("ok", json!({"detail": 2.0, "max_influences": 99})), "invalid_parameter"),
             (order("ok", json!({"detail": 0.5, "bandwidth": 0.05})), "invalid_parameter"),
             (order("ok", json!({"outputs": ["fbx"]})), "invalid_parameter"),

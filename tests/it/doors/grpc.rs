@@ -147,6 +147,7 @@ impl Door<'_> {
 fn mesh(create: &Create) -> Option<proto::Mesh> {
     let mesh = match &create.mesh {
         Mesh::Asset(id) => MeshIs::Asset(id.clone()),
+        Mesh::Url(url) => MeshIs::Fetched(proto::FetchedMesh { url: url.clone(), sha256: String::new() }),
         Mesh::Inline(media_type, data) => {
             MeshIs::Inline(proto::InlineMesh { media_type: (*media_type).to_owned(), data: data.clone().into() })
         }

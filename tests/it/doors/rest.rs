@@ -91,6 +91,7 @@ impl Door<'_> {
         let mut body = create.options.clone();
         body["asset"] = match &create.mesh {
             Mesh::Asset(id) => id.as_str().into(),
+            Mesh::Url(url) => json!({"url": url}),
             Mesh::Inline(media_type, bytes) => {
                 json!({"inline": {"media_type": media_type, "base64": BASE64_STANDARD.encode(bytes)}})
             }
