@@ -15,8 +15,9 @@ FROM rust:1.95-bookworm AS build
 # The image's own toolchain, whatever rust-toolchain.toml would have rustup fetch.
 ENV RUSTUP_TOOLCHAIN=1.95.0
 WORKDIR /rigsmith
-COPY Cargo.toml Cargo.lock ./
+COPY Cargo.toml Cargo.lock build.rs ./
 COPY .cargo .cargo
+COPY proto proto
 COPY src src
 # Cargo wants every target of the manifest to exist, also those that are not built here.
 COPY benches benches
@@ -25,7 +26,7 @@ COPY fuzz/seeds.rs fuzz/seeds.rs
 RUN cargo build --release --locked --bin rigsmith
 
 FROM debian:bookworm-slim
-# ONNX Runtime and the mesh library need the C++ runtime; storage over TLS needs to know whom to trust.
+# ONNX Runtime and the mesh library need the C++ runtime; storage over TLS and fetching (--outgoing) need to know whom to trust.
 RUN apt-get update \
     && apt-get install -y --no-install-recommends ca-certificates libstdc++6 \
     && rm -rf /var/lib/apt/lists/* \

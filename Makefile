@@ -97,12 +97,12 @@ checked-programs: ort
 .PHONY: python-packages
 python-packages: $(VENV)/.installed
 
-$(VENV)/.installed: models/requirements.txt
+$(VENV)/.installed: models/requirements.txt $(CHECKS)/requirements.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
 		|| { echo 'Python 3.11 or newer is needed for the tests (PYTHON=path/to/python3 names another one)'; exit 1; }
 	@$(PYTHON) -m venv $(VENV) \
 		|| { echo 'python3 -m venv does not work here: `apt-get install python3-venv`'; exit 1; }
-	@$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check -r models/requirements.txt
+	@$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check $(foreach file,$^,-r $(file))
 	@touch $@
 
 .PHONY: node-packages

@@ -72,6 +72,15 @@ pub struct ServeConfig {
     #[arg(long, env = "RIGSMITH_KEY_UPLOAD_MIB_PER_HOUR", value_name = "MIB", default_value_t = 10_240, value_parser = clap::value_parser!(u64).range(1..))]
     pub key_upload_mib_per_hour: u64,
 
+    /// Fetch meshes from addresses that callers name (asset.url): https, on the public internet alone
+    #[arg(long, env = "RIGSMITH_OUTGOING", value_name = "BOOL", default_value = "false", num_args = 0..=1,
+        default_missing_value = "true", action = clap::ArgAction::Set, value_parser = BoolishValueParser::new())]
+    pub outgoing: bool,
+
+    /// Hosts, separated by commas, that may be asked wherever they are, over http too
+    #[arg(long, env = "RIGSMITH_OUTGOING_HOSTS", value_name = "HOSTS")]
+    pub outgoing_hosts: Option<String>,
+
     /// Jobs that may wait; one more is refused with 429
     #[arg(long, env = "RIGSMITH_QUEUE", value_name = "N", default_value_t = 100, value_parser = at_least_one)]
     pub queue: usize,

@@ -18,6 +18,7 @@ pub mod geometry;
 pub mod jobs;
 pub mod mesh;
 pub mod nets;
+pub mod outgoing;
 pub mod pipelines;
 pub mod rig;
 pub mod server;

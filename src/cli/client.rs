@@ -30,6 +30,8 @@ const CONNECT_TIME_MAX: Duration = Duration::from_secs(10);
 const SILENCE_MAX: Duration = Duration::from_secs(45);
 /// The largest answer that is read into memory.
 const ANSWER_BYTES_MAX: u64 = 4 << 30;
+/// How often a request is sent again to a service that says that it is busy.
+const BUSY_MAX: u32 = 100;
 /// How often a broken stream of events is taken up again,
 const RECONNECTS_MAX: u32 = 30;
 /// and how long after.
@@ -43,6 +45,10 @@ pub struct Event {
 
 impl Client {
     pub fn new(arguments: &ServerArguments) -> Self {
+        Self::of(&arguments.server, arguments.key.as_deref())
+    }
+
+    pub fn of(server: &str, key: Option<&str>) -> Self {
         let config = Agent::config_builder()
             .http_status_as_error(false)
             .timeout_connect(Some(CONNECT_TIME_MAX))
@@ -51,8 +57,8 @@ impl Client {
             .build();
         Self {
             agent: config.into(),
-            server: arguments.server.trim_end_matches('/').to_owned(),
-            bearer: arguments.key.as_ref().map(|key| format!("Bearer {key}")),
+            server: server.trim_end_matches('/').to_owned(),
+            bearer: key.map(|key| format!("Bearer {key}")),
         }
     }
 
@@ -81,6 +87,32 @@ impl Client {
         let request = self.dressed(self.agent.post(format!("{}/v1/rigs", self.server)), &fields);
         let response = request.send(body).map_err(|error| self.unreachable(&error))?;
         json(accepted(response)?)
+    }
+
+    /// Sends a body; gives the JSON of the answer, or of the problem. Waits where the service says that it is too busy.
+    pub fn post(&self, path: &str, fields: &[(&str, &str)], body: &[u8]) -> Result<Result<Value, Value>, Failure> {
+        for _ in 0..BUSY_MAX {
+            let request = self.dressed(self.agent.post(format!("{}{path}", self.server)), fields);
+            let mut response = request.send(body).map_err(|error| self.unreachable(&error))?;
+            if response.status().is_success() {
+                return json(response).map(Ok);
+            }
+            let wait = response.headers().get("retry-after").and_then(|wait| wait.to_str().ok()?.parse().ok());
+            match wait {
+                Some(seconds) => std::thread::sleep(Duration::from_secs(seconds)),
+                None => {
+                    let problem: Value = response.body_mut().read_json().unwrap_or_default();
+                    let status = response.status();
+                    return if problem["code"].is_string() { Ok(Err(problem)) } else { Err(stranger(status)) };
+                }
+            }
+        }
+        Err(Failure::internal(format!("{} is too busy", self.server), "try again later"))
+    }
+
+    /// The JSON at a path.
+    pub fn json(&self, path: &str) -> Result<Value, Failure> {
+        json(self.get(path, &[])?)
     }
 
     pub fn job(&self, id: &str) -> Result<Value, Failure> {
@@ -158,9 +190,9 @@ fn accepted(mut response: Response<Body>) -> Result<Response<Body>, Failure> {
     }
     let status = response.status();
     let problem: Value = response.body_mut().read_json().unwrap_or_default();
-    let text = |name: &str| problem.get(name).and_then(Value::as_str).unwrap_or_default();
-    match text("code") {
-        "" => Err(Failure::internal(format!("the service answered {status}"), "is this a rigsmith service?")),
-        code => Err(Failure::coded(code, text("detail"), text("hint"))),
-    }
+    Err(if problem["code"].is_string() { Failure::problem(&problem) } else { stranger(status) })
+}
+
+fn stranger(status: StatusCode) -> Failure {
+    Failure::internal(format!("the service answered {status}"), "is this a rigsmith service?")
 }

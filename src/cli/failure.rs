@@ -13,6 +13,7 @@ pub struct Failure {
 }
 
 const BAD_ARGUMENTS: u8 = 2;
+const REFUSED: u8 = 3;
 const INTERNAL: u8 = 5;
 
 impl Failure {
@@ -53,6 +54,17 @@ impl Failure {
     pub fn coded(code: &str, message: &str, hint: &str) -> Self {
         let exit = ErrorCode::named(code).map_or(BAD_ARGUMENTS, ErrorCode::exit_code);
         Self { message: format!("{message} ({code})"), hint: hint.to_owned(), exit }
+    }
+
+    /// A problem as a service describes it (RFC 9457).
+    pub fn problem(problem: &serde_json::Value) -> Self {
+        let text = |name: &str| problem[name].as_str().unwrap_or_default();
+        Self::coded(text("code"), text("detail"), text("hint"))
+    }
+
+    /// Files that are refused.
+    pub fn refused(message: impl Into<String>, hint: impl Into<String>) -> Self {
+        Self { message: message.into(), hint: hint.into(), exit: REFUSED }
     }
 
     /// Says it on stderr.

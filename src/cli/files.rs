@@ -1,7 +1,10 @@
 //! Uploads from disk: the file that was named, and the files beside it that it asks for.
 
+use super::batch_report::digest;
 use super::failure::Failure;
 use rigsmith::formats::Siblings;
+use std::cell::RefCell;
+use std::collections::BTreeMap;
 use std::path::{Component, Path, PathBuf};
 
 /// A file to work on, read into memory.
@@ -26,6 +29,72 @@ impl Siblings for Folder {
     fn read(&self, name: &str) -> Option<Vec<u8>> {
         let inside = Path::new(name).components().all(|part| matches!(part, Component::Normal(_) | Component::CurDir));
         if inside { std::fs::read(self.0.join(name)).ok() } else { None }
+    }
+}
+
+/// The files of a folder that were asked for, remembered.
+pub struct ReadSiblings<'folder> {
+    folder: &'folder Folder,
+    asked: RefCell<BTreeMap<String, Option<Vec<u8>>>>,
+}
+
+impl<'folder> ReadSiblings<'folder> {
+    pub fn new(folder: &'folder Folder) -> Self {
+        Self { folder, asked: RefCell::default() }
+    }
+
+    /// Digests of what was there; `None` for what was not.
+    pub fn digests(&self) -> BTreeMap<String, Option<String>> {
+        let asked = self.asked.borrow();
+        asked.iter().map(|(name, bytes)| (name.clone(), bytes.as_deref().map(digest))).collect()
+    }
+
+    /// What was there.
+    pub fn found(&self) -> Vec<(String, Vec<u8>)> {
+        let asked = self.asked.borrow();
+        asked.iter().filter_map(|(name, bytes)| Some((name.clone(), bytes.clone()?))).collect()
+    }
+}
+
+impl Siblings for ReadSiblings<'_> {
+    fn read(&self, name: &str) -> Option<Vec<u8>> {
+        let read = self.folder.read(name);
+        self.asked.borrow_mut().insert(name.to_owned(), read.clone());
+        read
+    }
+}
+
+/// Files and texts as `multipart/form-data`.
+pub struct Form {
+    boundary: String,
+    body: Vec<u8>,
+}
+
+impl Form {
+    pub fn new() -> Self {
+        Self { boundary: format!("rigsmith-{}", uuid::Uuid::now_v7().simple()), body: Vec::new() }
+    }
+
+    pub fn text(&mut self, field: &str, text: &str) {
+        self.part(field, "", text.as_bytes());
+    }
+
+    pub fn file(&mut self, field: &str, name: &str, bytes: &[u8]) {
+        self.part(field, &format!("; filename=\"{}\"", name.replace(['"', '\r', '\n'], "_")), bytes);
+    }
+
+    fn part(&mut self, field: &str, file: &str, bytes: &[u8]) {
+        let boundary = &self.boundary;
+        let head = format!("--{boundary}\r\nContent-Disposition: form-data; name=\"{field}\"{file}\r\n\r\n");
+        self.body.extend_from_slice(head.as_bytes());
+        self.body.extend_from_slice(bytes);
+        self.body.extend_from_slice(b"\r\n");
+    }
+
+    /// Media type and body.
+    pub fn finish(mut self) -> (String, Vec<u8>) {
+        self.body.extend_from_slice(format!("--{}--\r\n", self.boundary).as_bytes());
+        (format!("multipart/form-data; boundary={}", self.boundary), self.body)
     }
 }
 

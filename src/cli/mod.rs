@@ -1,5 +1,8 @@
 //! The command line: parse, read files, call the library, write files, say what happened.
 
+mod batch;
+mod batch_remote;
+mod batch_report;
 mod check;
 mod client;
 mod config;
@@ -36,6 +39,8 @@ enum Command {
     /// Rig a mesh file.
     Rig(rig::RigArguments),
     Skin(skin::SkinArguments),
+    /// Rig every mesh of a folder, here or by a service; a run that was cut off goes on where it was.
+    Batch(batch::BatchArguments),
     /// Say what would be rigged, without doing it.
     Check(check::CheckArguments),
     /// List the methods that run here, their models, licences and self-tests.
@@ -96,6 +101,7 @@ fn run_command() -> Result<(), failure::Failure> {
     match cli.command {
         Command::Rig(arguments) => rig::run(&arguments, &cli.engine),
         Command::Skin(arguments) => skin::run(&arguments, &cli.engine),
+        Command::Batch(arguments) => batch::run(&arguments, &cli.engine),
         Command::Check(arguments) => check::run(&arguments),
         Command::Methods => methods::run(&cli.engine),
         Command::Serve(arguments) => serve::run(arguments, &cli.engine),

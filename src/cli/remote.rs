@@ -2,7 +2,7 @@
 
 use super::client::{Client, Event, ServerArguments};
 use super::failure::Failure;
-use super::files::write_whole;
+use super::files::{Form, write_whole};
 use super::rig::{OptionArguments, output_kind};
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -49,11 +49,11 @@ pub struct GetArguments {
 pub fn submit(arguments: &SubmitArguments) -> Result<(), Failure> {
     let kinds = kinds(&arguments.outputs)?;
     let options = arguments.options.read(&kinds)?.to_json();
-    let form = Form::new(&options, &arguments.input, &arguments.others)?;
+    let (content_type, body) = form(&options, &arguments.input, &arguments.others)?;
     let client = Client::new(&arguments.server);
     // New for each run: sending the same file twice on purpose makes two jobs.
     let key = uuid::Uuid::now_v7().to_string();
-    let job = client.create(&form.content_type, &form.body, &key)?;
+    let job = client.create(&content_type, &body, &key)?;
     let id = job["id"].as_str().unwrap_or_default();
     println!("{id}");
     if arguments.outputs.is_empty() {
@@ -79,6 +79,18 @@ pub fn get(arguments: &GetArguments) -> Result<(), Failure> {
     let text = serde_json::to_string_pretty(&job).map_err(|error| Failure::internal(error.to_string(), ""))?;
     println!("{text}");
     Ok(())
+}
+
+/// A mesh, what belongs to it, and the options: media type and body.
+fn form(options: &Value, input: &Path, others: &[PathBuf]) -> Result<(String, Vec<u8>), Failure> {
+    let mut form = Form::new();
+    form.text("options", &options.to_string());
+    for (field, path) in std::iter::once(("file", input)).chain(others.iter().map(|path| ("with", path.as_path()))) {
+        let bytes = std::fs::read(path).map_err(|error| Failure::unreadable(path, &error))?;
+        let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+        form.file(field, &name, &bytes);
+    }
+    Ok(form.finish())
 }
 
 fn kinds(outputs: &[PathBuf]) -> Result<Vec<Output>, Failure> {
@@ -146,33 +158,4 @@ fn write(client: &Client, id: &str, outputs: &[PathBuf], kinds: &[Output]) -> Re
         write_whole(path, &client.bytes(url)?)?;
     }
     Ok(())
-}
-
-/// A mesh, what belongs to it, and the options, as `multipart/form-data`.
-struct Form {
-    content_type: String,
-    body: Vec<u8>,
-}
-
-impl Form {
-    fn new(options: &Value, input: &Path, others: &[PathBuf]) -> Result<Self, Failure> {
-        let boundary = format!("rigsmith-{}", uuid::Uuid::now_v7().simple());
-        let mut body = Vec::new();
-        let mut part = |field: &str, file: Option<&str>, bytes: &[u8]| {
-            let file = file.map(|name| format!("; filename=\"{name}\"")).unwrap_or_default();
-            let head = format!("--{boundary}\r\nContent-Disposition: form-data; name=\"{field}\"{file}\r\n\r\n");
-            body.extend_from_slice(head.as_bytes());
-            body.extend_from_slice(bytes);
-            body.extend_from_slice(b"\r\n");
-        };
-        part("options", None, options.to_string().as_bytes());
-        let fields = std::iter::once(("file", input)).chain(others.iter().map(|path| ("with", path.as_path())));
-        for (field, path) in fields {
-            let bytes = std::fs::read(path).map_err(|error| Failure::unreadable(path, &error))?;
-            let name = path.file_name().map(|name| name.to_string_lossy().replace(['"', '\r', '\n'], "_"));
-            part(field, Some(&name.unwrap_or_default()), &bytes);
-        }
-        body.extend_from_slice(format!("--{boundary}--\r\n").as_bytes());
-        Ok(Self { content_type: format!("multipart/form-data; boundary={boundary}"), body })
-    }
 }

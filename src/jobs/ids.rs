@@ -90,6 +90,11 @@ id!(
     AssetId,
     "ast_"
 );
+id!(
+    /// Requests that were handed in together.
+    BatchId,
+    "bat_"
+);
 
 #[cfg(test)]
 mod tests {

@@ -7,8 +7,9 @@
 //! 2. [`upload`]      [`Upload`], [`Received`]: files while they arrive; dropped, they leave nothing
 //! 3. [`submission`]  [`Submission`]: who asks for what, how urgently; [`Refusal`]: why not
 //! 4. [`queue`]       [`Jobs`]: the one way to jobs and assets, see below; its parts `looking` (what became of them), `checking` (a
-//!    look at a mesh without a job), `exporting` (other forms of a rig) and `keeping` (assets, contents) stand in files of their own
-//! 5. [`job`], [`asset`], [`event`], [`page`]  what a caller sees; [`failure`] why there is no rig, by who must act
+//!    look at a mesh without a job), `exporting` (other forms of a rig), `keeping` (assets, contents) and `batching` stand in files of
+//!    their own
+//! 5. [`job`], [`asset`], [`batch`], [`event`], [`page`]  what a caller sees; [`failure`] why there is no rig, by who must act
 //!
 //! | wish | call |
 //! |---|---|
@@ -20,6 +21,7 @@
 //! | watch | [`Jobs::events`] → [`Events::next`]: snapshot, state, progress, warning, artifact, done |
 //! | stop | [`Jobs::cancel`], [`Jobs::delete`] |
 //! | bytes | [`Jobs::open`] by digest → [`Content::stream`](crate::storage::Content::stream) |
+//! | many at once | [`Jobs::create_batch`], [`Jobs::batch`], [`Jobs::batch_items`], [`Jobs::cancel_batch`]; whoever reads the requests of the items feeds the queue: [`Jobs::open_batches`], [`Jobs::pending_items`], [`Jobs::settle_item`], [`Jobs::conclude_batches`] |
 //! | repeat any other POST | [`Jobs::recall`], [`Jobs::remember`] |
 //! | end | [`Jobs::drain`], [`Jobs::idle`], [`Jobs::stop_running`], [`Jobs::close`] |
 //!
@@ -32,6 +34,8 @@
 //! two requests the same).
 
 pub mod asset;
+pub mod batch;
+mod batching;
 pub mod check;
 mod checking;
 pub mod clock;
@@ -67,12 +71,13 @@ mod watchers;
 mod worker;
 
 pub use asset::{Asset, PutAsset};
+pub use batch::{Batch, BatchCounts, BatchItem, ItemState, NewBatch, NewItem, OpenBatch, PendingItem, Settled};
 pub use check::{Check, Riggable};
 pub use engine::{Engine, check_file};
 pub use event::{Event, EventKind};
 pub use failure::{ErrorClass, ErrorCode, JobError, PassedLimit};
 pub use history::Events;
-pub use ids::{AssetId, JobId, NotAnId};
+pub use ids::{AssetId, BatchId, JobId, NotAnId};
 pub use job::{ArtifactInfo, FileInfo, Job, JobRequest, JobResult, JobState, Notice};
 pub use looking::Denied;
 pub use options::{

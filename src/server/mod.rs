@@ -1,12 +1,17 @@
-//! The HTTP door: extract, call [`crate::jobs`], answer.
+//! The doors of the service, REST and gRPC on one port: extract, call [`crate::jobs`], answer.
 
+pub mod batches;
 mod connections;
+mod exchanges;
+pub mod grpc;
 pub mod http;
 pub mod keys;
 mod metrics;
+mod orders;
 mod quota;
 mod run;
 mod tickets;
+mod uploads;
 
 pub use connections::ConnectionLimits;
 pub use run::{ServeError, run, serve, stop_signal, work};
@@ -15,10 +20,11 @@ use self::keys::{Keys, KeysError};
 use self::quota::Buckets;
 use self::tickets::Tickets;
 use crate::jobs::Jobs;
+use crate::outgoing::Outgoing;
 use axum::Router;
 use std::sync::Arc;
 use std::time::Duration;
-use tokio::sync::{Semaphore, watch};
+use tokio::sync::{Notify, Semaphore, watch};
 
 /// What handlers need. Clones share it.
 #[derive(Clone)]
@@ -28,6 +34,10 @@ pub struct App {
     uploads: Arc<Semaphore>,
     /// `None`: everybody may ask.
     guard: Option<Guard>,
+    /// The way out, to fetch meshes; `None`: none are fetched.
+    outgoing: Option<Outgoing>,
+    /// A batch was handed in.
+    batch_came: Arc<Notify>,
     /// `true` once the service stops: streams without an end end then.
     closing: Arc<watch::Sender<bool>>,
 }
@@ -72,7 +82,13 @@ impl Default for Limits {
 impl App {
     pub fn new(jobs: Jobs, limits: Limits) -> Self {
         let uploads = Arc::new(Semaphore::new(limits.uploads_max));
-        Self { jobs, limits, uploads, guard: None, closing: Arc::default() }
+        Self { jobs, limits, uploads, guard: None, outgoing: None, batch_came: Arc::default(), closing: Arc::default() }
+    }
+
+    /// Meshes are fetched from where callers say.
+    pub fn with_outgoing(mut self, outgoing: Outgoing) -> Self {
+        self.outgoing = Some(outgoing);
+        self
     }
 
     /// Only callers who send one of `keys` may ask.

@@ -1,9 +1,10 @@
 //! From start to stop.
 
 use super::keys::{Keys, KeysError, Quota};
-use super::{App, ConnectionLimits, Limits, app, connections, metrics};
+use super::{App, ConnectionLimits, Limits, app, batches, connections, metrics};
 use crate::config::{NodeConfig, ServeConfig, WorkerConfig};
 use crate::jobs::{Jobs, Rigger, Settings, StartError, cores};
+use crate::outgoing::{Outgoing, OutgoingError, SystemNames};
 use crate::storage::{Store, StoreError};
 use crate::telemetry;
 use std::io;
@@ -43,6 +44,8 @@ pub enum ServeError {
     Store(#[from] StoreError),
     #[error(transparent)]
     Start(#[from] StartError),
+    #[error("requests to other places cannot be made: {0}")]
+    Outgoing(#[from] OutgoingError),
     #[error("the service ended: {0}")]
     Io(#[from] io::Error),
 }
@@ -81,6 +84,7 @@ impl ServeError {
             }
             Self::Start(StartError::SharedDatabase(_)) => "is it running, and does --database name it?",
             Self::Store(_) | Self::Start(_) => "name another folder by --data",
+            Self::Outgoing(_) => "leave --outgoing out",
             Self::Io(_) => "",
         }
     }
@@ -98,6 +102,9 @@ pub async fn serve(
     let mut app = App::new(jobs.clone(), limits(config));
     if let Some(keys) = keys {
         app = app.with_keys(keys)?;
+    }
+    if config.outgoing {
+        app = app.with_outgoing(Outgoing::new(Arc::new(SystemNames), &trusted(config))?);
     }
     let mut background: Vec<JoinHandle<()>> = Vec::new();
     background.extend(metrics(&config.node, &jobs).await?);
@@ -152,6 +159,12 @@ fn jobs(node: &NodeConfig, rigger: Arc<dyn Rigger>, queue_max: usize) -> Result<
     }
 }
 
+/// The hosts that outgoing requests may go to wherever they are.
+fn trusted(config: &ServeConfig) -> Vec<String> {
+    let hosts = config.outgoing_hosts.iter().flat_map(|hosts| hosts.split(','));
+    hosts.map(str::trim).filter(|host| !host.is_empty()).map(str::to_owned).collect()
+}
+
 /// The workers that the cores allow.
 fn workers(asked: usize) -> usize {
     if asked == 0 {
@@ -196,6 +209,7 @@ fn limits(config: &ServeConfig) -> Limits {
             header_time_max: Duration::from_secs(config.header_seconds),
             header_bytes_max: config.header_kib as usize * 1024,
             write_pause_max: Duration::from_secs(config.download_pause_seconds),
+            ..ConnectionLimits::default()
         },
     }
 }
@@ -233,6 +247,7 @@ pub async fn run(listener: TcpListener, shutdown: impl Future<Output = ()>, stat
         // An error says that `close` is dropped, which means the same.
         let _ = closed.await;
     };
+    let feeding = tokio::spawn(batches::feed(state.clone()));
     let server = tokio::spawn(connections::serve(listener, app(state), limits.connection, closed, LAST_WAIT));
     shutdown.await;
     if drain(&jobs, limits.grace).await {
@@ -240,6 +255,7 @@ pub async fn run(listener: TcpListener, shutdown: impl Future<Output = ()>, stat
     }
     closing.send_replace(true);
     drop(close);
+    feeding.await.map_err(io::Error::other)?;
     server.await.map_err(io::Error::other)
 }
 

@@ -12,9 +12,10 @@ const MAY_IMPORT: &[(&str, &[&str])] = &[
     ("nets", &["cancellation", "mesh", "geometry", "rig"]),
     ("pipelines", &["cancellation", "mesh", "geometry", "nets", "rig"]),
     ("formats", &["mesh", "rig"]),
+    ("outgoing", &[]),
     ("storage", &[]),
     ("jobs", &["cancellation", "formats", "pipelines", "rig", "storage"]),
-    ("server", &["cancellation", "formats", "jobs", "pipelines", "storage"]),
+    ("server", &["cancellation", "formats", "jobs", "outgoing", "pipelines", "storage"]),
 ];
 
 /// Words of the outside world that the corridor must not use: it does no I/O.

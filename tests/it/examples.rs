@@ -7,14 +7,14 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
 /// A service of the built program, in a folder of its own.
-struct Served {
+pub struct Served {
     process: Child,
-    host: String,
+    pub host: String,
     folder: tempfile::TempDir,
 }
 
 impl Served {
-    fn start() -> Self {
+    pub fn start() -> Self {
         let folder = tempfile::tempdir().expect("folder");
         let mut process = Command::new(env!("CARGO_BIN_EXE_rigsmith"))
             .args(["serve", "--listen", "127.0.0.1:0", "--data", "data"])
@@ -30,11 +30,13 @@ impl Served {
         Self { process, host, folder }
     }
 
-    /// Runs `script` beside `hero.glb`, `hero.obj` and `hero.mtl`, stopping at the first command that fails.
+    /// Runs `script` beside `hero.glb`, `hero.obj`, `hero.mtl` and a folder `heroes`, stopping at the first command that fails.
     fn run(&self, script: &str) -> String {
         let folder = self.folder.path();
         if !folder.join("hero.glb").exists() {
             std::fs::copy(sample(), folder.join("hero.glb")).expect("copies");
+            std::fs::create_dir(folder.join("heroes")).expect("a folder");
+            std::fs::copy(sample(), folder.join("heroes/hero.glb")).expect("copies");
             std::fs::write(folder.join("hero.obj"), figure()).expect("writes");
             std::fs::write(folder.join("hero.mtl"), "newmtl skin\nKd 0.8 0.6 0.5\n").expect("writes");
         }
@@ -107,6 +109,12 @@ fn the_examples_of_the_api_do_what_they_say() {
     assert!(served.file("exported.glb") == served.file("rigged.glb"), "an export is the file that the job made");
     let gltf: serde_json::Value = serde_json::from_slice(&served.file("hero.gltf")).expect("JSON");
     assert_eq!(gltf["skins"].as_array().map(Vec::len), Some(1));
+    let results = String::from_utf8(served.file("results.jsonl")).expect("text");
+    let results: Vec<serde_json::Value> =
+        results.lines().map(|line| serde_json::from_str(line).expect("JSON")).collect();
+    assert_eq!((&results[0]["custom_id"], &results[0]["rig"]["state"]), (&"few".into(), &"succeeded".into()));
+    assert_eq!(results[1]["error"]["code"], "invalid_parameter");
+    assert!(served.file("rigged/hero.rig.json").starts_with(b"{"));
     for word in ["event: snapshot", "event: done", "\"riggable\"", "\"knights\"", "hero-v3"] {
         assert!(said.contains(word), "{word} in\n{said}");
     }

@@ -4,12 +4,16 @@
 mod artifacts;
 #[path = "http/assets.rs"]
 mod assets;
+#[path = "http/batches.rs"]
+mod batches;
 #[path = "http/callers.rs"]
 mod callers;
 #[path = "http/events.rs"]
 mod events;
 #[path = "http/examples.rs"]
 mod examples;
+#[path = "http/fetching.rs"]
+mod fetching;
 #[path = "http/jobs.rs"]
 mod jobs;
 #[path = "http/refusals.rs"]
@@ -19,4 +23,4 @@ pub mod scripted;
 #[path = "http/service.rs"]
 mod service;
 #[path = "http/socket.rs"]
-mod socket;
+pub mod socket;

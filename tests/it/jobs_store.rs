@@ -1,6 +1,8 @@
 //! The rules of the job store, tried on every engine. `jobs_store/rules*.rs` holds the rules; an engine is a bench of its
 //! own in `jobs_store/engines.rs` and one line below.
 
+#[path = "jobs_store/batches.rs"]
+mod batches;
 #[path = "jobs_store/engines.rs"]
 pub mod engines;
 #[path = "jobs_store/keeping.rs"]
@@ -62,6 +64,13 @@ macro_rules! all_rules_on {
                 events_have_numbers_without_gaps_and_end_with_done
                 progress_never_falls
                 lists_are_newest_first_filtered_and_each_callers_own
+            }
+            batches {
+                a_batch_is_written_in_order_and_each_item_settled_once
+                a_batch_is_over_when_its_items_are
+                canceling_a_batch_ends_what_waits_and_names_what_runs
+                an_asset_that_an_item_waits_for_is_kept
+                batches_are_each_callers_own_and_forgotten_in_time
             }
         }
     };

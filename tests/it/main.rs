@@ -1,7 +1,9 @@
 //! All integration tests, linked once. One module per claim-bearing area.
 
 mod architecture;
+mod batch;
 mod bucket;
+mod doors;
 mod examples;
 mod formats_decode;
 mod formats_gltf;

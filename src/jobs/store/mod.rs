@@ -12,6 +12,8 @@
 //! 5. **Numbers.** Every event of a job has the next number; they survive a restart.
 //! 6. **Blobs.** The store alone says which blobs are in use; [`JobStore::collect`] forgets those that no asset, no
 //!    unfinished job and no kept result names, and its caller removes them.
+//! 7. **Batches.** An item is pending until it is settled, once: as a job, as refused, or as canceled. An asset that a
+//!    pending item needs is kept. A batch is over when all its items are.
 //!
 //! Every engine passes the suite in `tests/it/jobs_store`. [`sqlite`] is the embedded one; [`postgres`] is shared by many
 //! processes. Both run the statements in `sql`.
@@ -22,10 +24,11 @@ mod sql;
 pub mod sqlite;
 
 use super::asset::Asset;
+use super::batch::{Batch, BatchItem, NewBatch, OpenBatch, PendingItem, Settled};
 use super::clock::Timestamp;
 use super::event::Event;
 use super::failure::JobError;
-use super::ids::{AssetId, JobId};
+use super::ids::{AssetId, BatchId, JobId};
 use super::job::{FileInfo, Job, JobResult, JobState};
 use super::options::RigOptions;
 use super::perform::Timing;
@@ -346,6 +349,33 @@ pub trait JobStore: Send + Sync {
 
     /// The locations of all blobs that are written down.
     async fn locations(&self) -> Result<BTreeSet<String>, StoreFailure>;
+
+    /// Writes a batch down, whole or not at all.
+    async fn create_batch(&self, new: NewBatch) -> Result<BatchId, StoreFailure>;
+
+    async fn batch(&self, caller: &Caller, id: BatchId) -> Result<Option<Batch>, StoreFailure>;
+
+    /// Newest first, older than `before`, at most `count`.
+    async fn batches(&self, caller: &Caller, before: Option<BatchId>, count: usize)
+    -> Result<Vec<Batch>, StoreFailure>;
+
+    /// Items from `first` on, in order, at most `count`.
+    async fn batch_items(&self, id: BatchId, first: usize, count: usize) -> Result<Vec<BatchItem>, StoreFailure>;
+
+    /// Batches that are not over, oldest first.
+    async fn open_batches(&self) -> Result<Vec<OpenBatch>, StoreFailure>;
+
+    /// The first items that are no job yet, in order, at most `count`.
+    async fn pending_items(&self, id: BatchId, count: usize) -> Result<Vec<PendingItem>, StoreFailure>;
+
+    /// Says what became of a pending item; `false`: it is not pending any more.
+    async fn settle_item(&self, id: BatchId, position: usize, settled: &Settled) -> Result<bool, StoreFailure>;
+
+    /// Ends all pending items. Gives the jobs of the batch that are not over; `None`: there is no such batch.
+    async fn cancel_batch(&self, caller: &Caller, id: BatchId) -> Result<Option<Vec<JobId>>, StoreFailure>;
+
+    /// Ends items as their jobs ended, and batches without open items. Gives those batches.
+    async fn conclude_batches(&self) -> Result<Vec<BatchId>, StoreFailure>;
 
     /// Looks an idempotency key up for a request that makes no job, and reserves it when it is new.
     async fn recall(&self, caller: &Caller, key: &str, fingerprint: &[u8; 32]) -> Result<Remembered, StoreFailure>;

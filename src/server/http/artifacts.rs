@@ -84,35 +84,44 @@ pub async fn get_artifact(
 ) -> Result<Response, ApiError> {
     query(&uri, &[])?;
     let job = find(&app, &identity.caller, &id).await?;
-    refuse_expired(&job)?;
+    serve(&app, &job, named(&job, &name)?, &headers).await
+}
+
+/// The file of this name that a job made.
+pub fn named<'job>(job: &'job Job, name: &str) -> Result<&'job ArtifactInfo, ApiError> {
+    refuse_expired(job)?;
     let made = job.result.iter().flat_map(|result| &result.artifacts).find(|artifact| artifact.name == name);
-    let Some(artifact) = made else {
+    made.ok_or_else(|| {
         let error = ApiError::not_found("such file of this job");
-        return Err(if job.state.is_final() {
-            error
-        } else {
-            error.hint("the job is not done yet; files come with success")
-        });
-    };
-    serve(&app, &job, artifact, &headers).await
+        if job.state.is_final() { error } else { error.hint("the job is not done yet; files come with success") }
+    })
 }
 
 fn refuse_expired(job: &Job) -> Result<(), ApiError> {
     if job.state == JobState::Expired {
-        return Err(ApiError::new(Code::Expired, "the files of this job are no longer kept").hint("rig the mesh again"));
+        return Err(expired().hint("rig the mesh again"));
     }
     Ok(())
 }
 
 /// The bytes of `artifact`, or the part of them that `headers` ask for.
 pub async fn serve(app: &App, job: &Job, artifact: &ArtifactInfo, headers: &HeaderMap) -> Result<Response, ApiError> {
-    let expired = || ApiError::new(Code::Expired, "the files of this job are no longer kept");
     let mut response = serve_file(app, artifact, headers, expired).await?;
     if let Some(timing) = server_timing(job) {
         response.headers_mut().insert(super::rigs::SERVER_TIMING, timing);
     }
     response.extensions_mut().insert(AboutJob(job.id));
     Ok(response)
+}
+
+/// The files of a job went.
+pub fn expired() -> ApiError {
+    ApiError::new(Code::Expired, "the files of this job are no longer kept")
+}
+
+/// No byte of the file lies where the caller asks.
+pub fn outside(artifact: &ArtifactInfo) -> ApiError {
+    ApiError::new(Code::RangeNotSatisfiable, format!("the file has {} bytes", artifact.bytes))
 }
 
 /// The bytes of a stored file, or the part of them that `headers` ask for.
@@ -126,9 +135,7 @@ pub async fn serve_file(
     let part = match part(headers, &etag, artifact.bytes) {
         Ok(part) => part,
         Err(NotSatisfiable) => {
-            let detail = format!("the file has {} bytes", artifact.bytes);
-            return Err(ApiError::new(Code::RangeNotSatisfiable, detail)
-                .header(header::CONTENT_RANGE, &format!("bytes */{}", artifact.bytes)));
+            return Err(outside(artifact).header(header::CONTENT_RANGE, &format!("bytes */{}", artifact.bytes)));
         }
     };
     let mut response = if part == Part::Nothing {

@@ -5,11 +5,12 @@ use super::artifacts::{FileBytes, serve_file};
 use super::asset_views::AssetView;
 use super::authenticate::Identity;
 use super::error::{ApiError, Code};
-use super::idempotency::{self, Turn};
+use super::idempotency;
 use super::negotiate::query;
 use super::receive;
 use super::segments::Segments;
-use crate::jobs::{ArtifactInfo, Asset, Check, JobError, Received, Refusal, asset_sha256};
+use crate::jobs::{ArtifactInfo, Asset, Check, JobError, Refusal};
+use crate::server::uploads::{self, Kept, asset_id, find, missing};
 use axum::Json;
 use axum::extract::{Request, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, Uri, header};
@@ -55,44 +56,20 @@ pub struct AssetFormView {
 pub async fn create_asset(State(app): State<App>, identity: Identity, request: Request) -> Result<Response, ApiError> {
     let key = idempotency::key(request.headers())?;
     let received = receive::asset(&app, request).await?;
-    // Detached: once the key is taken, the answer is remembered even if the caller hangs up.
-    let kept = tokio::spawn(async move { keep(&app, &identity, received, key).await });
-    kept.await.map_err(|error| ApiError::internal(&error))?
-}
-
-async fn keep(app: &App, identity: &Identity, received: Received, key: Option<String>) -> Result<Response, ApiError> {
-    let caller = &identity.caller;
-    let Some(key) = key else { return put(app, identity, received).await.map(|(response, _)| response) };
-    let said = asset_sha256(&received.files());
-    if let Turn::Again(id) = idempotency::turn(app, caller, &key, &[b"POST /v1/assets", &said]).await? {
-        let asset = find(app, identity, &String::from_utf8_lossy(&id)).await?;
-        let check = looked_at(app, &asset).await?;
-        let mut response = asset_response(&asset, check.as_deref(), StatusCode::OK)?;
+    let Kept { asset, created, replayed } = uploads::keep(&app, &identity, received, key).await?;
+    let check = looked_at(&app, &asset).await?;
+    let status = if created { StatusCode::CREATED } else { StatusCode::OK };
+    let mut response = asset_response(&asset, check.as_deref(), status)?;
+    if replayed {
         idempotency::note_replay(&mut response);
-        return Ok(response);
     }
-    let made = put(app, identity, received).await;
-    let answer = made.as_ref().ok().map(|(_, id)| id.as_bytes());
-    app.jobs.remember(caller, &key, answer).await?;
-    made.map(|(response, _)| response)
-}
-
-/// The answer, and the asset's id.
-async fn put(app: &App, identity: &Identity, received: Received) -> Result<(Response, String), ApiError> {
-    let put = app.jobs.put_asset(&identity.caller, received).await?;
-    let status = if put.created { StatusCode::CREATED } else { StatusCode::OK };
-    Ok((asset_response(&put.asset, Ok(&put.check), status)?, put.asset.id.to_string()))
+    Ok(response)
 }
 
 fn asset_response(asset: &Asset, check: Result<&Check, &JobError>, status: StatusCode) -> Result<Response, ApiError> {
     let view = AssetView::new(asset, check);
     let location = HeaderValue::from_str(&view.links.this).map_err(|error| ApiError::internal(&error))?;
     Ok((status, [(header::LOCATION, location)], Json(view)).into_response())
-}
-
-async fn find(app: &App, identity: &Identity, id: &str) -> Result<Asset, ApiError> {
-    let asset = app.jobs.asset(&identity.caller, receive::asset_id(id)?).await?;
-    asset.ok_or_else(missing)
 }
 
 /// What the asset holds. The files of a rig request are an asset too, although nobody has read them yet: they may be unreadable.
@@ -102,10 +79,6 @@ async fn looked_at(app: &App, asset: &Asset) -> Result<Result<Arc<Check>, JobErr
         Err(Refusal::Check(error)) => Ok(Err(error)),
         Err(refusal) => Err(refusal.into()),
     }
-}
-
-fn missing() -> ApiError {
-    ApiError::not_found("such asset").hint("it may have expired; upload the files again")
 }
 
 /// Look at an asset.
@@ -143,7 +116,7 @@ pub async fn delete_asset(
     uri: Uri,
 ) -> Result<StatusCode, ApiError> {
     query(&uri, &[])?;
-    if app.jobs.delete_asset(&identity.caller, receive::asset_id(&id)?).await? {
+    if app.jobs.delete_asset(&identity.caller, asset_id(&id)?).await? {
         Ok(StatusCode::NO_CONTENT)
     } else {
         Err(missing())

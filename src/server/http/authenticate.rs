@@ -4,6 +4,7 @@ use super::App;
 use super::error::{ApiError, Code, Limit};
 use crate::jobs::Caller;
 use crate::server::Guard;
+use crate::server::grpc;
 use crate::server::keys::Key;
 use crate::server::quota::Charge;
 use axum::body::Body;
@@ -34,7 +35,7 @@ pub struct Identity {
 }
 
 impl Identity {
-    fn anonymous() -> Self {
+    pub fn anonymous() -> Self {
         Self { caller: Caller::anonymous(), jobs_max: None, key_id: None }
     }
 
@@ -59,7 +60,7 @@ impl<S: Send + Sync> FromRequestParts<S> for Identity {
 fn is_open(path: &str) -> bool {
     const OPEN: [&str; 8] =
         ["/", "/docs", "/livez", "/readyz", "/startupz", "/version", "/v1/openapi.json", "/v1/problems"];
-    OPEN.contains(&path) || path.starts_with("/v1/problems/")
+    OPEN.contains(&path) || path.starts_with("/v1/problems/") || grpc::is_open(path)
 }
 
 /// Lets a request pass when it has to show no key, or shows a known one that is within its quota.

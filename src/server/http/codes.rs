@@ -22,6 +22,7 @@ pub enum Code {
     Conflict,
     NotCancelable,
     RangeNotSatisfiable,
+    FetchFailed,
     QueueFull,
     QuotaExceeded,
     IdempotencyMismatch,
@@ -41,7 +42,7 @@ pub struct Facts {
 impl Code {
     /// All codes, for the pages that explain them.
     pub fn all() -> impl Iterator<Item = Code> {
-        const OF_REQUESTS: [Code; 21] = [
+        const OF_REQUESTS: [Code; 22] = [
             Code::InvalidJson,
             Code::UnknownField,
             Code::InvalidParameter,
@@ -57,6 +58,7 @@ impl Code {
             Code::Conflict,
             Code::NotCancelable,
             Code::RangeNotSatisfiable,
+            Code::FetchFailed,
             Code::QueueFull,
             Code::QuotaExceeded,
             Code::IdempotencyMismatch,
@@ -88,6 +90,7 @@ impl Code {
             Code::Conflict => ("conflict", Status::CONFLICT, "Not in this state", "The job is in a state that does not allow this."),
             Code::NotCancelable => ("not_cancelable", Status::CONFLICT, "The job is over", "Only jobs that wait or run can be canceled."),
             Code::RangeNotSatisfiable => ("range_not_satisfiable", Status::RANGE_NOT_SATISFIABLE, "Range not satisfiable", "The requested range lies outside the file; Content-Range gives its size."),
+            Code::FetchFailed => ("fetch_failed", Status::FAILED_DEPENDENCY, "The mesh could not be fetched", "asset.url leads nowhere, inside, or to something else than the request says; detail says which."),
             Code::QueueFull => ("queue_full", Status::TOO_MANY_REQUESTS, "The queue is full", "The service is at its limit and refuses early. Come back after Retry-After seconds."),
             Code::QuotaExceeded => ("quota_exceeded", Status::TOO_MANY_REQUESTS, "Your quota is used up", "You have as many unfinished jobs as one caller may have, or have sent as many bytes as one key may within the hour; limit says which."),
             Code::IdempotencyMismatch => ("idempotency_mismatch", Status::UNPROCESSABLE_ENTITY, "The key belongs to another request", "Within 24 hours an Idempotency-Key stands for one request; this one differs from it."),

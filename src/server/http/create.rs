@@ -10,10 +10,11 @@ use super::negotiate::{self, Answer, WAIT_MAX};
 use super::outermost::AboutJob;
 use super::receive;
 use super::request_views::{CreateView, OptionsView, WishesParameters};
-use super::rigs::{after, job_response, note_wait};
+use super::rigs::{after, job_response, note_wait, why_none};
 use super::segments::Segments;
 use super::views::{JobView, job_path};
-use crate::jobs::{ErrorCode, Job, Output, Submission, Submitted};
+use crate::jobs::{Job, Output, Submitted};
+use crate::server::orders::{self, Terms};
 use axum::Json;
 use axum::extract::{Request, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
@@ -111,21 +112,7 @@ pub async fn put_rig(
     identity: Identity,
     request: Request,
 ) -> Result<Response, ApiError> {
-    create(&app, identity, request, Some(client_id(id)?)).await
-}
-
-const CLIENT_ID_MAX: usize = 64;
-
-/// An id of the caller's that can be told from one of ours.
-fn client_id(id: String) -> Result<String, ApiError> {
-    let fit = |letter: char| letter.is_ascii_alphanumeric() || ['.', '-', '_'].contains(&letter);
-    if !(1..=CLIENT_ID_MAX).contains(&id.len()) || !id.chars().all(fit) || id.starts_with("rig_") {
-        let detail = format!(
-            "an id of your own has 1 to {CLIENT_ID_MAX} letters, digits, `.`, `-` or `_`, and does not begin with rig_"
-        );
-        return Err(ApiError::field("id", detail));
-    }
-    Ok(id)
+    create(&app, identity, request, Some(orders::client_id("id", id)?)).await
 }
 
 async fn create(
@@ -140,24 +127,14 @@ async fn create(
     let idempotency_key = idempotency::key(&headers)?;
     // A request that was answered before is answered again even when no new job would be taken.
     let may_be_known = client_id.is_some() || idempotency_key.is_some();
-    let receive::Order { source, wishes } = receive::order(app, request, may_be_known).await?;
-    if answer == Answer::Glb && !wishes.options.outputs.contains(&Output::Glb) {
+    let order = receive::order(app, request, may_be_known).await?;
+    if answer == Answer::Glb && !order.wishes.options.outputs.contains(&Output::Glb) {
         return Err(ApiError::new(Code::NotAcceptable, "Accept asks for model/gltf-binary, but outputs leaves it out"));
     }
-    let caller = identity.caller.clone();
-    let submission = Submission {
-        priority: wishes.priority,
-        labels: wishes.labels,
-        timeout: wishes.timeout,
-        retention: wishes.retention,
-        client_id,
-        idempotency_key,
-        use_cache: !negotiate::no_cache(&headers),
-        jobs_max: identity.jobs_max,
-        ..Submission::new(identity.caller, source, wishes.options)
-    };
-    let Submitted { job, replayed } = app.jobs.submit(submission).await?;
-    let job = after(app, &caller, job, wait).await?;
+    let use_cache = !negotiate::no_cache(&headers);
+    let terms = Terms { client_id, idempotency_key, use_cache, deadline: None };
+    let Submitted { job, replayed } = orders::place(app, &identity, order, terms).await?;
+    let job = after(app, &identity.caller, job, wait).await?;
     let mut response = match answer {
         Answer::Glb if job.state.is_final() => rigged_file(app, &job).await,
         _ if replayed => job_response(&job, StatusCode::OK),
@@ -178,10 +155,9 @@ async fn create(
 async fn rigged_file(app: &App, job: &Job) -> Response {
     let made = job.result.iter().flat_map(|result| &result.artifacts);
     let glb = made.clone().find(|artifact| artifact.media_type == "model/gltf-binary");
-    let served = match (glb, &job.error) {
-        (Some(artifact), _) => artifacts::serve(app, job, artifact, &HeaderMap::new()).await,
-        (None, Some(error)) => Err(error.clone().into()),
-        (None, None) => Err(ApiError::new(Code::Work(ErrorCode::Canceled), format!("the job is {}", job.state.name()))),
+    let served = match glb {
+        Some(artifact) => artifacts::serve(app, job, artifact, &HeaderMap::new()).await,
+        None => Err(why_none(job)),
     };
     served.unwrap_or_else(IntoResponse::into_response)
 }

@@ -1,4 +1,5 @@
-//! Every refusal that leaves over HTTP, as RFC 9457 problem details with a stable code.
+//! Every refusal, whichever door it leaves by, with a stable code. Over HTTP it is written as RFC 9457 problem details; how
+//! gRPC tells the same stands in [`crate::server::grpc`].
 //!
 //! An [`ApiError`] travels in the extensions of an empty response; [`super::outermost`] writes the body, since it
 //! knows the request.
@@ -9,6 +10,7 @@ use crate::storage::StoreError;
 use axum::http::{HeaderName, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde::Serialize;
+use std::fmt;
 use std::sync::Arc;
 use std::time::Duration;
 use utoipa::ToSchema;
@@ -34,6 +36,8 @@ struct About {
 
 /// When the store is full, and a job has to finish or expire first.
 const ROOM_RETRY: Duration = Duration::from_secs(30);
+/// When nothing better is known.
+const UNAVAILABLE_RETRY_SECONDS: u64 = 5;
 
 /// Nobody is sent away for longer than the longest window of a quota.
 const RETRY_SECONDS_MAX: f64 = 3600.0;
@@ -177,17 +181,29 @@ impl ApiError {
             ),
         }
     }
+
+    /// After how many seconds to come back.
+    pub fn retry_seconds(&self) -> Option<u64> {
+        match self.about.retry_after {
+            Some(time) => Some(time.as_secs_f64().ceil().clamp(1.0, RETRY_SECONDS_MAX) as u64),
+            None => (self.code.facts().status == StatusCode::SERVICE_UNAVAILABLE).then_some(UNAVAILABLE_RETRY_SECONDS),
+        }
+    }
 }
+
+impl fmt::Display for ApiError {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str(&self.about.detail)
+    }
+}
+
+impl std::error::Error for ApiError {}
 
 impl IntoResponse for ApiError {
     fn into_response(self) -> Response {
-        let status = self.code.facts().status;
-        let mut response = status.into_response();
-        if let Some(retry_after) = self.about.retry_after {
-            let seconds = retry_after.as_secs_f64().ceil().clamp(1.0, RETRY_SECONDS_MAX) as u64;
+        let mut response = self.code.facts().status.into_response();
+        if let Some(seconds) = self.retry_seconds() {
             response.headers_mut().insert(header::RETRY_AFTER, HeaderValue::from(seconds));
-        } else if status == StatusCode::SERVICE_UNAVAILABLE {
-            response.headers_mut().insert(header::RETRY_AFTER, HeaderValue::from(5));
         }
         response.headers_mut().extend(self.about.headers.clone());
         response.extensions_mut().insert(Arc::new(self));

@@ -17,11 +17,15 @@ const KEY_BYTES_MAX: usize = 255;
 pub fn key(headers: &HeaderMap) -> Result<Option<String>, ApiError> {
     let Some(key) = text_header(headers, &IDEMPOTENCY_KEY)? else { return Ok(None) };
     // The draft writes it as a quoted string; most callers send it bare.
-    let key = key.trim().trim_matches('"');
+    checked("Idempotency-Key", key.trim().trim_matches('"')).map(Some)
+}
+
+/// A key that is fit to be remembered.
+pub fn checked(field: &str, key: &str) -> Result<String, ApiError> {
     if key.is_empty() || key.len() > KEY_BYTES_MAX || !key.bytes().all(|byte| (b' '..=b'~').contains(&byte)) {
-        return Err(ApiError::field("Idempotency-Key", format!("must have 1 to {KEY_BYTES_MAX} printable characters")));
+        return Err(ApiError::field(field, format!("must have 1 to {KEY_BYTES_MAX} printable characters")));
     }
-    Ok(Some(key.to_owned()))
+    Ok(key.to_owned())
 }
 
 /// Marks an answer as that of an earlier request.

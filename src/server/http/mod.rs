@@ -1,25 +1,29 @@
-//! The REST interface. A handler extracts, calls [`crate::jobs`], and answers.
+//! The REST interface, and what every request goes through, gRPC too. A handler extracts, calls [`crate::jobs`], and answers.
 
 pub mod artifacts;
 pub mod asset_views;
 pub mod assets;
 pub mod authenticate;
+mod batch_items;
+pub mod batch_views;
+pub mod batches;
 pub mod check_views;
 pub mod codes;
 pub mod create;
 pub mod error;
 pub mod events;
-mod idempotency;
-mod media;
-mod negotiate;
+pub(super) mod fetch;
+pub(super) mod idempotency;
+pub mod media;
+pub(super) mod negotiate;
 pub mod openapi;
-mod outermost;
-mod receive;
+pub(super) mod outermost;
+pub(super) mod receive;
 pub mod request_views;
 pub mod rigs;
 mod segments;
 pub mod service;
-mod sink;
+pub(super) mod sink;
 pub mod tickets;
 pub(super) mod timestamp;
 pub mod verbs;
@@ -28,11 +32,12 @@ pub mod wishes;
 mod words;
 
 use self::error::{ApiError, Code};
-use super::App;
+use super::{App, grpc};
 use axum::Router;
 use axum::extract::DefaultBodyLimit;
-use axum::http::{Method, Uri};
+use axum::http::{HeaderMap, Method, Uri};
 use axum::middleware::{from_fn, from_fn_with_state};
+use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
 use tower_http::catch_panic::CatchPanicLayer;
 
@@ -52,12 +57,16 @@ pub fn routes(app: App) -> Router {
         .route("/v1/assets", post(assets::create_asset))
         .route("/v1/assets/{id}", get(assets::get_asset).delete(assets::delete_asset))
         .route("/v1/assets/{id}/content", get(assets::get_asset_content))
+        .route("/v1/batches", get(batches::list_batches).post(batches::create_batch))
+        .route("/v1/batches/{id}", get(batches::get_batch).post(batches::batch_verb))
+        .route("/v1/batches/{id}/results", get(batches::get_batch_results))
         .route("/v1/rigs", get(rigs::list_rigs).post(create::create_rig))
         .route("/v1/rigs:check", post(create::check_rig))
         .route("/v1/rigs/{id}", get(rigs::get_rig).put(create::put_rig).delete(rigs::delete_rig).post(verbs::rig_verb))
         .route("/v1/rigs/{id}/events", get(events::rig_events))
         .route("/v1/rigs/{id}/artifacts", get(artifacts::list_artifacts))
         .route("/v1/rigs/{id}/artifacts/{name}", get(artifacts::get_artifact))
+        .merge(grpc::routes(&app))
         .fallback(no_such_path)
         .method_not_allowed_fallback(no_such_method)
         // Uploads have a limit of their own, in `receive`.
@@ -68,8 +77,11 @@ pub fn routes(app: App) -> Router {
         .with_state(app)
 }
 
-async fn no_such_path(uri: Uri) -> ApiError {
-    ApiError::not_found(&format!("path {}", uri.path())).hint("/docs lists every path")
+async fn no_such_path(uri: Uri, headers: HeaderMap) -> Response {
+    if grpc::is_grpc(&headers) {
+        return grpc::no_such_method(uri.path());
+    }
+    ApiError::not_found(&format!("path {}", uri.path())).hint("/docs lists every path").into_response()
 }
 
 /// axum adds `Allow`.

@@ -3,7 +3,7 @@
 use super::authenticate::TICKET;
 use super::error::{Code, ProblemView};
 use super::request_views::RequestView;
-use super::{artifacts, assets, create, events, rigs, service, tickets, verbs};
+use super::{artifacts, assets, batches, create, events, rigs, service, tickets, verbs};
 use crate::jobs::ErrorCode;
 use axum::Json;
 use axum::http::header;
@@ -17,13 +17,15 @@ use utoipa::OpenApi;
 #[openapi(
     info(
         title = "Rigsmith",
-        description = "Rigs characters: send a mesh, get the same file back with a skeleton and skin weights.",
+        description = "Rigs characters: send a mesh, get the same file back with a skeleton and skin weights. The same port speaks gRPC \
+                       (rigsmith.v1.RigService, described by reflection).",
         license(name = "MIT OR Apache-2.0", identifier = "MIT OR Apache-2.0"),
     ),
     servers((url = "/", description = "This service")),
     tags(
         (name = "rigs", description = "A mesh in, a rig out."),
         (name = "assets", description = "Meshes that are kept, to be rigged more than once."),
+        (name = "batches", description = "Many rigs at once, behind everything else."),
         (name = "artifacts", description = "The files that were made."),
         (name = "service", description = "What runs here, and how it is."),
     ),
@@ -33,6 +35,7 @@ use utoipa::OpenApi;
         verbs::cancel_rig, verbs::export_rig, verbs::reskin_rig, tickets::ticket_rig,
         assets::create_asset, assets::get_asset, assets::delete_asset, assets::get_asset_content,
         artifacts::list_artifacts, artifacts::get_artifact,
+        batches::create_batch, batches::get_batch, batches::list_batches, batches::cancel_batch, batches::get_batch_results,
         service::list_methods, service::list_problems, service::get_problem,
         service::livez, service::readyz, service::startupz, service::version,
     ),
@@ -57,6 +60,8 @@ const UPLOADING: &[Code] = &[
 ];
 /// of what needs the networks,
 const WORKING: &[Code] = &[Code::InvalidJson, Code::NotFound, Code::Starting, Code::Work(ErrorCode::ModelUnavailable)];
+/// of what fetches,
+const FETCHING: &[Code] = &[Code::FetchFailed];
 /// of what makes jobs and answers with their file,
 const CREATING: &[Code] = &[
     Code::Conflict,
@@ -107,15 +112,28 @@ const RESKINNING: &[Code] = &[
     Code::Work(ErrorCode::SkeletonInvalid),
     Code::Work(ErrorCode::OutOfMemory),
 ];
+/// Refusals of what brings many requests at once.
+const BATCHING: &[Code] = &[
+    Code::InvalidJson,
+    Code::UploadIncomplete,
+    Code::UploadTimeout,
+    Code::NotFound,
+    Code::QueueFull,
+    Code::IdempotencyMismatch,
+    Code::IdempotencyInProgress,
+    Code::Work(ErrorCode::TooLarge),
+    Code::Work(ErrorCode::UnsupportedMediaType),
+    Code::Work(ErrorCode::Draining),
+];
 /// Refusals of whatever asks for a key, and of a service whose jobs cannot be read or written.
 const GUARDED: &[Code] =
     &[Code::Unauthenticated, Code::RateLimited, Code::StoreUnavailable, Code::Work(ErrorCode::Internal)];
 
 /// Which refusals each operation may answer with, by its id. Operations that are not here refuse nothing.
 const PROBLEMS: &[(&str, &[&[Code]])] = &[
-    ("create_rig", &[GUARDED, UPLOADING, WORKING, CREATING, READING]),
-    ("put_rig", &[GUARDED, UPLOADING, WORKING, CREATING, READING]),
-    ("check_rig", &[GUARDED, UPLOADING, WORKING, READING, SENDING]),
+    ("create_rig", &[GUARDED, UPLOADING, WORKING, FETCHING, CREATING, READING]),
+    ("put_rig", &[GUARDED, UPLOADING, WORKING, FETCHING, CREATING, READING]),
+    ("check_rig", &[GUARDED, UPLOADING, WORKING, FETCHING, READING, SENDING]),
     ("get_rig", &[GUARDED, ASKING, &[Code::NotFound]]),
     ("list_rigs", &[GUARDED, ASKING]),
     ("cancel_rig", &[GUARDED, ASKING, &[Code::NotFound, Code::NotCancelable]]),
@@ -148,6 +166,11 @@ const PROBLEMS: &[(&str, &[&[Code]])] = &[
     ("get_asset_content", &[GUARDED, ASKING, &[Code::NotFound, Code::Expired, Code::RangeNotSatisfiable]]),
     ("list_artifacts", &[GUARDED, ASKING, &[Code::NotFound, Code::Expired]]),
     ("get_artifact", &[GUARDED, ASKING, &[Code::NotFound, Code::Expired, Code::RangeNotSatisfiable]]),
+    ("create_batch", &[GUARDED, ASKING, BATCHING]),
+    ("get_batch", &[GUARDED, ASKING, &[Code::NotFound]]),
+    ("list_batches", &[GUARDED, ASKING]),
+    ("cancel_batch", &[GUARDED, ASKING, &[Code::NotFound]]),
+    ("get_batch_results", &[GUARDED, ASKING, &[Code::NotFound]]),
     ("list_methods", &[GUARDED, ASKING]),
     ("get_problem", &[&[Code::NotFound]]),
     ("readyz", &[&[Code::Starting, Code::Work(ErrorCode::Draining), Code::Work(ErrorCode::ModelUnavailable)]]),

@@ -2,6 +2,7 @@
 
 use super::error::{ApiError, ProblemView};
 use crate::jobs::JobId;
+use crate::server::grpc;
 use crate::telemetry::metrics as names;
 use crate::telemetry::traces::TraceParent;
 use axum::body::Body;
@@ -31,6 +32,7 @@ pub async fn outermost(request: Request, next: Next) -> Response {
     let method = request.method().clone();
     let path = request.uri().path().to_owned();
     let route = Route::of(&request);
+    let is_grpc = grpc::is_grpc(request.headers());
     let parent = request.headers().get(TRACE_PARENT).and_then(|value| TraceParent::parse(value.to_str().ok()?));
     let trace = parent.map(|parent| parent.trace_id()).unwrap_or_default();
     let empty = tracing::field::Empty;
@@ -42,9 +44,14 @@ pub async fn outermost(request: Request, next: Next) -> Response {
     let mut response = next.run(request).instrument(span.clone()).await;
     drop(in_flight);
     let refusal = response.extensions_mut().remove::<Arc<ApiError>>();
-    let code = refusal.as_ref().map_or("", |refusal| refusal.code.facts().code);
-    if let Some(refusal) = refusal {
-        write_problem(&mut response, &refusal.view(&path, &id));
+    let code = match &refusal {
+        Some(refusal) => refusal.code.facts().code,
+        None => grpc::refused_with(&response),
+    };
+    match refusal {
+        Some(refusal) if is_grpc => grpc::write_refusal(&mut response, &refusal),
+        Some(refusal) => write_problem(&mut response, &refusal.view(&path, &id)),
+        None => {}
     }
     let job = response.extensions().get::<AboutJob>().map(|AboutJob(job)| job.to_string()).unwrap_or_default();
     let taken = began.elapsed();

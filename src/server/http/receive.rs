@@ -2,11 +2,14 @@
 
 use super::App;
 use super::error::{ApiError, Code};
+use super::fetch;
 use super::media::{self, Body};
 use super::negotiate::{query, query_pairs};
 use super::sink::{Deadline, Sink};
 use super::wishes::{Wishes, WishesReader};
-use crate::jobs::{AssetId, ErrorCode, Received, Refusal, Source};
+use crate::jobs::{Received, Source};
+use crate::server::orders;
+use crate::server::uploads::{self, Files, asset_id, empty};
 use axum::extract::multipart::{Field, MultipartError};
 use axum::extract::{FromRequest, Multipart, Request};
 use axum::http::{HeaderMap, StatusCode, header};
@@ -14,19 +17,13 @@ use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
 use http_body_util::BodyExt;
 use serde_json::{Map, Value};
-use std::collections::BTreeSet;
-use std::time::Duration;
 
 /// Files and fields of one form.
 const PARTS_MAX: usize = 512;
 /// A text field, or the JSON part `options`.
 const TEXT_BYTES_MAX: usize = 64 * 1024;
-/// A mesh within JSON,
-const INLINE_BYTES_MAX: usize = 4 << 20;
-/// and the JSON around it: base64 makes four bytes of three.
+/// JSON with a mesh within: base64 makes four bytes of three.
 const JSON_BYTES_MAX: u64 = 6 << 20;
-/// Refusing early helps the sender; an upload that is refused after it began is read no further.
-const BUSY_RETRY: Duration = Duration::from_secs(2);
 
 /// What a create or check request brought.
 pub struct Order {
@@ -43,11 +40,7 @@ pub async fn order(app: &App, request: Request, may_be_known: bool) -> Result<Or
     declared_length(request.headers(), bytes_max)?;
     // The body may still bring wishes; those of the query must be right by themselves.
     let early = wishes.clone().finish(app.jobs.settings())?;
-    if may_be_known {
-        app.jobs.ready()?;
-    } else {
-        app.jobs.admit(&early.options).await?;
-    }
+    orders::admit(app, &early.options, may_be_known).await?;
     let source = match body {
         Body::Json => json_order(app, request, &mut wishes).await?,
         body => Source::Upload(files(app, request, body, Some(&mut wishes)).await?),
@@ -73,10 +66,7 @@ async fn files(
     body: Body,
     wishes: Option<&mut WishesReader>,
 ) -> Result<Received, ApiError> {
-    let Ok(_permit) = app.uploads.try_acquire() else {
-        let refusal = Refusal::QueueFull { waiting: app.limits.uploads_max, retry_after: BUSY_RETRY };
-        return Err(refusal.into());
-    };
+    let _permit = uploads::permit(app)?;
     let mut sink = Sink::open(app)?;
     let main = match body {
         Body::Mesh { name } => raw(&mut sink, request, &name).await.map(|()| name)?,
@@ -108,15 +98,14 @@ async fn json_order(app: &App, request: Request, wishes: &mut WishesReader) -> R
     wishes.clone().finish(app.jobs.settings())?;
     match asset {
         Some(Value::String(id)) => asset_id(&id).map(Source::Asset),
-        Some(Value::Object(given)) => inline(app, &given).await.map(Source::Upload),
+        Some(Value::Object(given)) if given.contains_key("url") => {
+            fetch::Wanted::of_json(&given)?.fetch(app).await.map(Source::Upload)
+        }
+        Some(Value::Object(given)) => inline_mesh(app, &given).await.map(Source::Upload),
         Some(other) => Err(ApiError::field("asset", format!("{other} is neither an id nor an object"))),
         None => Err(ApiError::field("asset", "is missing")
             .hint("POST the mesh to /v1/assets and name its id, or send the mesh itself as the body")),
     }
-}
-
-pub fn asset_id(text: &str) -> Result<AssetId, ApiError> {
-    text.parse().map_err(|error| ApiError::not_found("such asset").hint(format!("{error}")))
 }
 
 /// A JSON object as the body.
@@ -146,16 +135,11 @@ pub async fn body_bytes(app: &App, request: Request, bytes_max: u64) -> Result<V
 }
 
 /// A small mesh within the JSON.
-async fn inline(app: &App, given: &Map<String, Value>) -> Result<Received, ApiError> {
-    if given.contains_key("url") {
-        return Err(ApiError::unknown_field(
-            "asset.url",
-            "asset.inline, and ids of assets; this service fetches nothing",
-        )
-        .hint("download the file and POST it to /v1/assets"));
-    }
+async fn inline_mesh(app: &App, given: &Map<String, Value>) -> Result<Received, ApiError> {
     let inner = given.get("inline").filter(|_| given.len() == 1).and_then(Value::as_object);
-    let inner = inner.ok_or_else(|| ApiError::unknown_field("asset", "asset.inline with media_type and base64"))?;
+    let inner = inner.ok_or_else(|| {
+        ApiError::unknown_field("asset", "asset.inline with media_type and base64, or asset.url with sha256")
+    })?;
     if let Some(name) = inner.keys().find(|name| !["media_type", "base64"].contains(&name.as_str())) {
         return Err(ApiError::unknown_field(&format!("asset.inline.{name}"), "media_type, base64"));
     }
@@ -167,18 +151,7 @@ async fn inline(app: &App, given: &Map<String, Value>) -> Result<Received, ApiEr
     let bytes = BASE64_STANDARD
         .decode(text("base64")?)
         .map_err(|error| ApiError::field("asset.inline.base64", format!("is not base64: {error}")))?;
-    if bytes.is_empty() {
-        return Err(empty(&name));
-    }
-    if bytes.len() > INLINE_BYTES_MAX {
-        return Err(ApiError::too_large(INLINE_BYTES_MAX as u64, Some(bytes.len() as u64)));
-    }
-    let mut sink = Sink::open(app)?;
-    sink.begin(&name).await?;
-    sink.push(bytes.into()).await?;
-    sink.refuse_foreign(&name)?;
-    sink.flush().await?;
-    sink.finish(&name).await
+    uploads::inline(app, &name, bytes.into()).await
 }
 
 fn declared_length(headers: &HeaderMap, max: u64) -> Result<(), ApiError> {
@@ -275,54 +248,7 @@ fn json_options(text: &str, wishes: Option<&mut WishesReader>) -> Result<(), Api
     Ok(())
 }
 
-/// The files of a form, and which of them is to be rigged.
-#[derive(Default)]
-struct Files {
-    names: BTreeSet<String>,
-    /// Sent as the field `file`.
-    named: Vec<String>,
-    /// Have the extension of a mesh format.
-    meshes: Vec<String>,
-}
-
-impl Files {
-    fn add(&mut self, field: &str, file_name: &str) -> Result<String, ApiError> {
-        let name = media::relative_name(file_name).map_err(|detail| ApiError::field(field, detail))?;
-        if !self.names.insert(name.clone()) {
-            return Err(ApiError::field(field, format!("a second file is named {name:?}")));
-        }
-        if field == "file" {
-            self.named.push(name.clone());
-        }
-        if media::is_mesh_name(&name) {
-            self.meshes.push(name.clone());
-        }
-        Ok(name)
-    }
-
-    /// The file sent as `file`, when there is one such; else the only one with the extension of a mesh format. A
-    /// caller who sends all files as `file` means the mesh among them.
-    fn main(self) -> Result<String, ApiError> {
-        let Self { names, named, meshes } = self;
-        if let ([only], _) | (_, [only]) = (&named[..], &meshes[..]) {
-            return Ok(only.clone());
-        }
-        let mut names = names.into_iter();
-        match (names.next(), names.next()) {
-            (None, _) => Err(ApiError::field("file", "the form has no file")
-                .hint("send the mesh as a file, as curl does with -F file=@hero.obj")),
-            (Some(only), None) => Ok(only),
-            _ if meshes.is_empty() => {
-                Err(ApiError::field("file", "none of the files has the extension of a mesh format")
-                    .hint("send the mesh in the field file, and the others in fields of another name"))
-            }
-            _ => Err(ApiError::field("file", format!("which of {} is to be rigged is not clear", meshes.join(", ")))
-                .hint("send that one in the field file, and the others in fields of another name")),
-        }
-    }
-}
-
-fn incomplete() -> ApiError {
+pub fn incomplete() -> ApiError {
     ApiError::new(Code::UploadIncomplete, "the connection closed before the body was complete")
 }
 
@@ -331,9 +257,4 @@ fn broken(sink: &Sink, error: &MultipartError) -> ApiError {
         return ApiError::too_large(sink.bytes_max(), None);
     }
     ApiError::new(Code::InvalidMultipart, format!("the form cannot be read: {}", error.body_text()))
-}
-
-fn empty(name: &str) -> ApiError {
-    ApiError::new(Code::Work(ErrorCode::UnreadableMesh), format!("the file {name} has no bytes"))
-        .hint("with curl, send a file by --data-binary @hero.glb or -F file=@hero.glb")
 }

@@ -124,13 +124,25 @@ pub struct CreateView {
     pub wishes: WishesView,
 }
 
-/// Id of an asset, or a small mesh in the request itself.
+/// Id of an asset, a small mesh in the request itself, or where the mesh is.
 #[derive(Serialize, ToSchema)]
 #[serde(untagged)]
 #[schema(as = AssetSource)]
 pub enum AssetSourceView {
     Id(String),
     Inline { inline: InlineView },
+    Fetched(FetchedView),
+}
+
+/// A mesh elsewhere, where the operator allows fetching.
+#[derive(Serialize, ToSchema)]
+#[schema(as = FetchedMesh)]
+pub struct FetchedView {
+    #[schema(example = "https://example.com/hero.glb")]
+    pub url: String,
+    /// Of its bytes, hexadecimal; refused when they differ.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sha256: Option<String>,
 }
 
 /// A mesh of 4 MiB at most.

@@ -9,7 +9,7 @@ use super::segments::Segments;
 use super::views::{JobListView, JobView, timings_ms};
 use super::wishes;
 use super::words::StateName;
-use crate::jobs::{Caller, Job, JobFilter, JobId, JobState, NoPage};
+use crate::jobs::{Caller, ErrorCode, Job, JobFilter, JobId, JobState, NoPage, Page};
 use axum::Json;
 use axum::extract::State;
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, Uri, header};
@@ -17,7 +17,7 @@ use axum::response::{IntoResponse, Response};
 use std::time::Duration;
 
 pub const SERVER_TIMING: HeaderName = HeaderName::from_static("server-timing");
-const PAGE_SIZE: usize = 20;
+pub const PAGE_SIZE: usize = 20;
 const PAGE_SIZE_MAX: usize = 100;
 
 /// Look at a rig.
@@ -76,27 +76,37 @@ pub async fn list_rigs(State(app): State<App>, identity: Identity, uri: Uri) -> 
             _ => page_token = Some(value),
         }
     }
-    let page = app.jobs.list(&identity.caller, &filter, page_token.as_deref(), count).await;
-    let page = page.map_err(|error| match error {
-        NoPage::BadToken => ApiError::field("page_token", format!("{error}")),
-        NoPage::Unavailable(error) => error.into(),
-    })?;
+    let page = page(&app, &identity.caller, &filter, page_token.as_deref(), count).await?;
     let data = page.jobs.iter().map(JobView::from).collect();
     Ok(Json(JobListView { object: "list", data, next_page_token: page.next_page_token }))
 }
 
-fn state_named(name: &str) -> Result<JobState, ApiError> {
+pub fn state_named(name: &str) -> Result<JobState, ApiError> {
     let names = || JobState::ALL.map(JobState::name).join(", ");
     let state = JobState::ALL.into_iter().find(|state| state.name() == name);
     state.ok_or_else(|| ApiError::field("state", format!("{name:?} is not one of {}", names())))
 }
 
-fn label_named(text: &str) -> Result<(String, String), ApiError> {
+pub fn label_named(text: &str) -> Result<(String, String), ApiError> {
     let pair = text.split_once('=').ok_or_else(|| format!("{text:?} is not name=value"));
     pair.and_then(|(name, value)| wishes::label(name, value)).map_err(|detail| ApiError::field("label", detail))
 }
 
-fn page_size(text: &str) -> Result<usize, ApiError> {
+/// One page of the caller's jobs.
+pub async fn page(
+    app: &App,
+    caller: &Caller,
+    filter: &JobFilter,
+    page_token: Option<&str>,
+    page_size: usize,
+) -> Result<Page, ApiError> {
+    app.jobs.list(caller, filter, page_token, page_size).await.map_err(|error| match error {
+        NoPage::BadToken => ApiError::field("page_token", format!("{error}")),
+        NoPage::Unavailable(error) => error.into(),
+    })
+}
+
+pub fn page_size(text: &str) -> Result<usize, ApiError> {
     let size = text.parse().ok().filter(|size| (1..=PAGE_SIZE_MAX).contains(size));
     size.ok_or_else(|| {
         ApiError::field("page_size", format!("{text:?} is not a whole number from 1 to {PAGE_SIZE_MAX}"))
@@ -119,10 +129,21 @@ pub async fn delete_rig(
     uri: Uri,
 ) -> Result<StatusCode, ApiError> {
     query(&uri, &[])?;
-    let id = resolve(&app, &identity.caller, &id).await?;
-    let deleted = app.jobs.delete(&identity.caller, id).await;
-    deleted.map_err(|error| denied(error, Code::Conflict).hint("POST to {id}:cancel first"))?;
+    delete(&app, &identity.caller, &id).await?;
     Ok(StatusCode::NO_CONTENT)
+}
+
+/// Forgets a job and its files.
+pub async fn delete(app: &App, caller: &Caller, id: &str) -> Result<(), ApiError> {
+    let id = resolve(app, caller, id).await?;
+    let deleted = app.jobs.delete(caller, id).await;
+    deleted.map_err(|error| denied(error, Code::Conflict).hint("POST to {id}:cancel first"))
+}
+
+/// Ends a job that waits, or asks a running one to end.
+pub async fn cancel(app: &App, caller: &Caller, id: &str) -> Result<Job, ApiError> {
+    let id = resolve(app, caller, id).await?;
+    app.jobs.cancel(caller, id).await.map_err(|error| denied(error, Code::NotCancelable))
 }
 
 /// The id of a job, by its own id or by the one that the caller gave it.
@@ -150,6 +171,14 @@ pub async fn after(app: &App, caller: &Caller, job: Job, wait: Option<Duration>)
             waited.ok_or_else(|| ApiError::not_found("such job any more; it was deleted"))
         }
         _ => Ok(job),
+    }
+}
+
+/// Why a job that is over has no result.
+pub fn why_none(job: &Job) -> ApiError {
+    match &job.error {
+        Some(error) => error.clone().into(),
+        None => ApiError::new(Code::Work(ErrorCode::Canceled), format!("the job is {}", job.state.name())),
     }
 }
 

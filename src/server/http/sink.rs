@@ -43,15 +43,23 @@ impl Deadline {
 
     /// What `next` gives, unless the sender pauses for too long.
     pub async fn in_time<T>(&self, next: impl Future<Output = T>) -> Result<T, ApiError> {
-        let until = self.end.min(Instant::now() + self.pause_max);
-        tokio::time::timeout_at(until, next).await.map_err(|_| {
-            let detail = if until == self.end {
-                "the upload took too long".to_owned()
-            } else {
-                format!("no byte arrived for {} s", self.pause_max.as_secs_f64())
-            };
-            ApiError::new(Code::UploadTimeout, detail).hint("send it again over a steadier connection")
-        })
+        let until = self.next();
+        tokio::time::timeout_at(until, next).await.map_err(|_| self.passed(until))
+    }
+
+    /// Until when the next bytes must be here, if they are waited for from now on.
+    pub fn next(&self) -> Instant {
+        self.end.min(Instant::now() + self.pause_max)
+    }
+
+    /// The refusal of a sender who sent nothing until `until`, which [`Deadline::next`] gave.
+    pub fn passed(&self, until: Instant) -> ApiError {
+        let detail = if until == self.end {
+            "the upload took too long".to_owned()
+        } else {
+            format!("no byte arrived for {} s", self.pause_max.as_secs_f64())
+        };
+        ApiError::new(Code::UploadTimeout, detail).hint("send it again over a steadier connection")
     }
 }
 

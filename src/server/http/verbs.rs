@@ -2,17 +2,18 @@
 
 use super::App;
 use super::authenticate::Identity;
-use super::error::{ApiError, Code, denied};
+use super::error::{ApiError, Code};
 use super::negotiate::{self, query, query_pairs};
 use super::outermost::AboutJob;
 use super::request_views::{ExportView, OptionsView, WishesParameters};
-use super::rigs::{after, find, job_response, note_wait, resolve};
+use super::rigs::{after, cancel, find, job_response, note_wait};
 use super::segments::Segments;
 use super::tickets::ticket_rig;
 use super::views::{JobView, hex, job_path};
 use super::wishes::WishesReader;
 use super::{idempotency, receive};
-use crate::jobs::{Artifact, Job, JobState, Output, Source, Submission, Submitted, canonical_skeleton};
+use crate::jobs::{Artifact, Job, JobState, Output, Submitted};
+use crate::server::orders::{Reskin, Terms};
 use axum::Json;
 use axum::extract::{Request, State};
 use axum::http::{HeaderValue, Method, StatusCode, header};
@@ -55,8 +56,7 @@ pub async fn rig_verb(
 )]
 async fn cancel_rig(app: &App, identity: Identity, id: &str, request: Request) -> Result<Response, ApiError> {
     query(request.uri(), &[])?;
-    let id = resolve(app, &identity.caller, id).await?;
-    let job = app.jobs.cancel(&identity.caller, id).await.map_err(|error| denied(error, Code::NotCancelable))?;
+    let job = cancel(app, &identity.caller, id).await?;
     Ok(Json(JobView::from(&job)).into_response())
 }
 
@@ -163,35 +163,11 @@ async fn reskin_rig(app: &App, identity: Identity, id: &str, request: Request) -
     let mut wishes = WishesReader::default();
     let asked = query_pairs(request.uri())?;
     asked.iter().for_each(|(name, value)| wishes.text(name, value));
-    if asked.iter().any(|(name, _)| name == "skeleton") {
-        return Err(ApiError::field("skeleton", "is the body of this request"));
-    }
-    let levels = ["detail", "bandwidth"];
-    for (name, value) in job.request.options.to_json().as_object().into_iter().flatten() {
-        // Detail and bandwidth stand for each other: one that is asked for replaces either.
-        let replaced = |asked: &str| asked == name || (levels.contains(&asked) && levels.contains(&name.as_str()));
-        if name != "skeleton" && !asked.iter().any(|(asked, _)| replaced(asked)) {
-            wishes.json(name, value);
-        }
-    }
-    let wishes = wishes.finish(app.jobs.settings())?;
-    app.jobs.ready()?;
-    if job.state == JobState::Expired {
-        return Err(ApiError::new(Code::Expired, "the files of this job are no longer kept").hint("rig the mesh again"));
-    }
-    let skeleton = canonical_skeleton(&receive::body_bytes(app, request, app.limits.upload_bytes_max).await?)?;
-    let submission = Submission {
-        priority: wishes.priority,
-        labels: wishes.labels,
-        timeout: wishes.timeout,
-        retention: wishes.retention,
-        idempotency_key,
-        use_cache: !negotiate::no_cache(&headers),
-        jobs_max: identity.jobs_max,
-        skeleton: Some(skeleton.into()),
-        ..Submission::new(identity.caller.clone(), Source::Job(job.id), wishes.options)
-    };
-    let Submitted { job, replayed } = app.jobs.submit(submission).await?;
+    let fields: Vec<&str> = asked.iter().map(|(name, _)| name.as_str()).collect();
+    let reskin = Reskin::prepare(app, job, wishes, &fields)?;
+    let skeleton = receive::body_bytes(app, request, app.limits.upload_bytes_max).await?;
+    let terms = Terms { client_id: None, idempotency_key, use_cache: !negotiate::no_cache(&headers), deadline: None };
+    let Submitted { job, replayed } = reskin.place(app, &identity, &skeleton, terms).await?;
     let job = after(app, &identity.caller, job, wait).await?;
     let mut response = job_response(&job, if replayed { StatusCode::OK } else { StatusCode::ACCEPTED });
     if replayed {

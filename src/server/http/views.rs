@@ -1,6 +1,6 @@
 //! What goes over the wire as JSON. Built from inner types here, and nowhere else.
 
-use super::error::Limit;
+use super::error::{ApiError, Limit, ProblemView};
 use super::request_views::RequestView;
 use super::timestamp::rfc3339;
 use super::words::{SeverityName, StageName, StateName};
@@ -237,7 +237,7 @@ impl From<&Job> for JobView {
             started_at: job.started_at.map(rfc3339),
             finished_at: job.finished_at.map(rfc3339),
             expires_at: job.expires_at.map(rfc3339),
-            request: RequestView { options: (&job.request.options).into(), wishes: (&*job.request).into() },
+            request: request(job),
             client_id: job.request.client_id.clone(),
             asset: job.request.asset.map(|asset| asset.to_string()),
             files: job.request.files.iter().map(FileView::from).collect(),
@@ -263,8 +263,13 @@ impl From<&Job> for JobView {
     }
 }
 
+/// What was asked.
+pub fn request(job: &Job) -> RequestView {
+    RequestView { options: (&job.request.options).into(), wishes: (&*job.request).into() }
+}
+
 /// The time that the rest takes if it goes on as it went so far. Nothing is said before there is something to go by.
-fn estimated_seconds_left(job: &Job) -> Option<u64> {
+pub fn estimated_seconds_left(job: &Job) -> Option<u64> {
     const PROGRESS_TOLD: u8 = 10;
     let began = job.started_at.filter(|_| job.state == JobState::Running && job.progress >= PROGRESS_TOLD)?;
     let taken = SystemTime::now().duration_since(began).ok()?.as_secs_f64();
@@ -279,10 +284,7 @@ pub fn timings_ms(job: &Job) -> impl Iterator<Item = (&'static str, u64)> {
 }
 
 fn artifacts(job: &Job, result: &JobResult) -> Vec<ArtifactView> {
-    if job.state == JobState::Expired {
-        return Vec::new();
-    }
-    result.artifacts.iter().map(|artifact| ArtifactView::new(job, artifact)).collect()
+    present(job, result).iter().map(|artifact| ArtifactView::new(job, artifact)).collect()
 }
 
 pub fn models(models: &[ModelInfo]) -> Vec<ModelView> {
@@ -294,6 +296,11 @@ pub fn models(models: &[ModelInfo]) -> Vec<ModelView> {
             self_test: model.self_test.clone(),
         })
         .collect()
+}
+
+/// The files of a result that are still there.
+pub fn present<'result>(job: &Job, result: &'result JobResult) -> &'result [ArtifactInfo] {
+    if job.state == JobState::Expired { &[] } else { &result.artifacts }
 }
 
 impl ArtifactView {
@@ -335,6 +342,13 @@ impl From<&JobError> for FindingView {
             hint: error.hint.clone(),
             r#where: Vec::new(),
         }
+    }
+}
+
+impl From<&ApiError> for JobErrorView {
+    fn from(error: &ApiError) -> Self {
+        let ProblemView { r#type, detail, code, retryable, stage, hint, limit, .. } = error.view("", "");
+        Self { code, stage, message: detail, hint, retryable, r#type, limit }
     }
 }
 

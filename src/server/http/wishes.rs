@@ -120,7 +120,8 @@ impl WishesReader {
         }
     }
 
-    fn refuse(&mut self, field: &str, detail: String) {
+    /// Notes a refusal of `field`.
+    pub fn refuse(&mut self, field: &str, detail: String) {
         self.errors.push(FieldError { field: field.to_owned(), problem: FieldProblem::Invalid, detail });
     }
 

@@ -110,7 +110,7 @@ async fn what_json_asks_for_in_vain_is_refused_by_name() {
         (json!({"asset": 3}), 400, "invalid_parameter", "neither"),
         (json!({"asset": unknown}), 404, "not_found", "asset"),
         (json!({"asset": "nonsense"}), 404, "not_found", "asset"),
-        (json!({"asset": {"url": "https://example.com/a.glb"}}), 400, "unknown_field", "fetches nothing"),
+        (json!({"asset": {"url": "https://example.com/a.glb"}}), 400, "invalid_parameter", "fetches nothing"),
         (json!({"asset": {"inline": {"media_type": "model/obj", "base64": "%"}}}), 400, "invalid_parameter", "base64"),
         (
             json!({"asset": {"inline": {"media_type": "image/png", "base64": "b2s="}}}),

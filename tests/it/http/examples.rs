@@ -1,6 +1,6 @@
 //! The examples of the OpenAPI document, run with curl against a service on a socket.
 
-use super::scripted::Service;
+use super::scripted::{Service, request};
 use super::socket::start;
 use serde_json::Value;
 use std::process::Command;
@@ -15,6 +15,8 @@ async fn every_example_of_the_description_answers_well() {
     }
     let edited = r#"{"format": "rigsmith.rig/1", "joints": [{"name": "hips", "parent": null, "position": [0, 1, 0]}]}"#;
     std::fs::write(folder.path().join("edited.rig.json"), edited).expect("writes");
+    let items = r#"{"custom_id": "a", "request": {"asset": "ast_00000000000000000000000000"}}"#;
+    std::fs::write(folder.path().join("items.jsonl"), items).expect("writes");
     let document = service.get("/v1/openapi.json").await.json();
     let mut ran = 0;
     for (path, operations) in document["paths"].as_object().expect("paths") {
@@ -26,9 +28,9 @@ async fn every_example_of_the_description_answers_well() {
             }
             let script = if path.ends_with(":cancel") { "hang" } else { "ok" };
             let job = service.rig("", &[("prefer", if script == "ok" { "wait=10" } else { "wait=0" })], script).await;
-            let asset = service
-                .send(super::scripted::request("POST", "/v1/assets", &[("content-type", "model/obj")], "ok"))
-                .await;
+            let asset = service.send(request("POST", "/v1/assets", &[("content-type", "model/obj")], "ok")).await;
+            let batch = request("POST", "/v1/batches", &[("content-type", "application/jsonl")], items);
+            let batch = service.send(batch).await;
             let id = |answer: &Value| answer["id"].as_str().expect("an id").to_owned();
             let output = Command::new("bash")
                 .args([
@@ -41,6 +43,7 @@ async fn every_example_of_the_description_answers_well() {
                 .env("HOST", &running.base)
                 .env("ID", id(&job.json()))
                 .env("ASSET", id(&asset.json()))
+                .env("BATCH", id(&batch.json()))
                 .output()
                 .expect("bash");
             let said = String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr);

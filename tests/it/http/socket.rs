@@ -16,6 +16,18 @@ pub struct Running {
     ended: JoinHandle<std::io::Result<()>>,
 }
 
+impl Running {
+    /// Asks the service to stop.
+    pub fn stop(&mut self) {
+        drop(self.stop.take());
+    }
+
+    /// Waits for a clean end.
+    pub async fn ended(self) {
+        self.ended.await.expect("no panic").expect("a clean end");
+    }
+}
+
 pub async fn start(service: &Service) -> Running {
     let listener = TcpListener::bind("127.0.0.1:0").await.expect("a port");
     let base = format!("http://{}", listener.local_addr().expect("address"));

@@ -49,6 +49,13 @@ impl Service {
         serde_json::from_str(&answer.body_mut().read_to_string().ok()?).ok()
     }
 
+    /// Posts `body`; the answer when it is JSON.
+    fn post(&self, path: &str, media_type: &str, body: &str) -> Value {
+        let post = Self::agent().post(format!("{}{path}", self.base)).header("content-type", media_type);
+        let mut answer = post.send(body).expect("an answer");
+        serde_json::from_str(&answer.body_mut().read_to_string().expect("a body")).expect("JSON")
+    }
+
     fn kill(mut self) {
         self.child.kill().expect("is killed");
         self.child.wait().expect("ends");
@@ -124,5 +131,60 @@ fn a_few_kills_lose_no_job_and_break_no_file() {
             assert_eq!((status, artifact["sha256"].as_str()), (200, Some(digest.as_str())));
         }
     }
+    service.kill();
+}
+
+/// The small sister of `tests/reliability/batch.py`.
+#[test]
+fn a_batch_killed_twice_in_the_middle_ends_whole_and_in_order() {
+    const ITEMS: usize = 12;
+    let broken = |number: usize| number % 5 == 3;
+    let folder = tempfile::tempdir().expect("folder");
+    let port = TcpListener::bind("127.0.0.1:0").and_then(|listener| listener.local_addr()).expect("a port").port();
+    let mut service = Service::start(folder.path(), port);
+    let mut lines = String::new();
+    for number in 0..ITEMS {
+        let mesh = if broken(number) { "v 0 0 0\n".repeat(number) } else { figure(1.0 + 0.01 * number as f64) };
+        let asset = service.post("/v1/assets", "model/obj", &mesh);
+        lines += &format!("{{\"custom_id\": \"figure-{number}\", \"request\": {{\"asset\": {}}}}}\n", asset["id"]);
+    }
+    let batch = service.post("/v1/batches", "application/jsonl", &lines);
+    let path = batch["links"]["self"].as_str().expect("a link").to_owned();
+    let state = |service: &Service| {
+        let (_, body) = service.get(&path).expect("an answer");
+        serde_json::from_slice::<Value>(&body).expect("JSON")
+    };
+    let until = Instant::now() + Duration::from_secs(300);
+    for over in [2, 6, ITEMS] {
+        loop {
+            let counts = state(&service)["counts"].clone();
+            let ended: u64 = ["succeeded", "failed", "canceled"].iter().filter_map(|name| counts[name].as_u64()).sum();
+            if ended >= over as u64 {
+                break;
+            }
+            assert!(Instant::now() < until, "{counts}");
+            std::thread::sleep(Duration::from_millis(50));
+        }
+        if over < ITEMS {
+            service.kill();
+            service = Service::start(folder.path(), port);
+        }
+    }
+    let (status, body) = service.get(&format!("{path}/results")).expect("an answer");
+    assert_eq!(status, 200);
+    let body = String::from_utf8(body).expect("text");
+    let results: Vec<Value> = body.lines().map(|line| serde_json::from_str(line).expect("JSON")).collect();
+    assert_eq!(results.len(), ITEMS);
+    for (number, result) in results.iter().enumerate() {
+        assert_eq!(result["custom_id"], format!("figure-{number}"));
+        if broken(number) {
+            assert_eq!(result["error"]["code"], "no_geometry", "{result:#}");
+        } else {
+            assert_eq!(result["rig"]["state"], "succeeded", "{result:#}");
+        }
+    }
+    let (_, body) = service.get("/v1/rigs?page_size=100").expect("an answer");
+    let jobs: Value = serde_json::from_slice(&body).expect("JSON");
+    assert_eq!(jobs["data"].as_array().map(Vec::len), Some(ITEMS), "no item became two jobs");
     service.kill();
 }

@@ -1,6 +1,7 @@
 //! The job store in SQL: its statements are the same for every engine, which brings connections, locks and news.
 
 mod admission;
+mod batches;
 mod ending;
 mod reading;
 mod reuse;
@@ -16,9 +17,10 @@ use super::{
     NewJob, News, Remembered, StoreFailure, Swept, codec,
 };
 use crate::jobs::asset::Asset;
+use crate::jobs::batch::{Batch, BatchItem, NewBatch, OpenBatch, PendingItem, Settled};
 use crate::jobs::clock::Timestamp;
 use crate::jobs::event::{Event, EventKind};
-use crate::jobs::ids::{AssetId, JobId};
+use crate::jobs::ids::{AssetId, BatchId, JobId};
 use crate::jobs::job::{Job, JobState};
 use crate::jobs::stage::Stage;
 use crate::jobs::submission::Caller;
@@ -270,6 +272,59 @@ impl<E: Engine> JobStore for SqlStore<E> {
     async fn locations(&self) -> Result<BTreeSet<String>, StoreFailure> {
         let rows = sql("SELECT location FROM blobs").all(&mut *self.0.read().await?).await?;
         rows.iter().map(|row| row.get("location")).collect()
+    }
+
+    async fn create_batch(&self, new: NewBatch) -> Result<BatchId, StoreFailure> {
+        let mut writing = self.0.write().await?;
+        let id = batches::create(&mut *writing, &new, self.0.now()).await?;
+        self.0.commit(writing).await?;
+        Ok(id)
+    }
+
+    async fn batch(&self, caller: &Caller, id: BatchId) -> Result<Option<Batch>, StoreFailure> {
+        batches::batch(&mut *self.0.read().await?, caller, id).await
+    }
+
+    async fn batches(
+        &self,
+        caller: &Caller,
+        before: Option<BatchId>,
+        count: usize,
+    ) -> Result<Vec<Batch>, StoreFailure> {
+        batches::list(&mut *self.0.read().await?, caller, before, count).await
+    }
+
+    async fn batch_items(&self, id: BatchId, first: usize, count: usize) -> Result<Vec<BatchItem>, StoreFailure> {
+        batches::items(&mut *self.0.read().await?, id, first, count).await
+    }
+
+    async fn open_batches(&self) -> Result<Vec<OpenBatch>, StoreFailure> {
+        batches::open(&mut *self.0.read().await?).await
+    }
+
+    async fn pending_items(&self, id: BatchId, count: usize) -> Result<Vec<PendingItem>, StoreFailure> {
+        batches::pending(&mut *self.0.read().await?, id, count).await
+    }
+
+    async fn settle_item(&self, id: BatchId, position: usize, settled: &Settled) -> Result<bool, StoreFailure> {
+        let mut writing = self.0.write().await?;
+        let changed = batches::settle(&mut *writing, id, position, settled).await?;
+        self.0.commit(writing).await?;
+        Ok(changed)
+    }
+
+    async fn cancel_batch(&self, caller: &Caller, id: BatchId) -> Result<Option<Vec<JobId>>, StoreFailure> {
+        let mut writing = self.0.write().await?;
+        let jobs = batches::cancel(&mut *writing, caller, id, self.0.now()).await?;
+        self.0.commit(writing).await?;
+        Ok(jobs)
+    }
+
+    async fn conclude_batches(&self) -> Result<Vec<BatchId>, StoreFailure> {
+        let mut writing = self.0.write().await?;
+        let over = batches::conclude(&mut *writing, self.0.now()).await?;
+        self.0.commit(writing).await?;
+        Ok(over)
     }
 
     async fn recall(&self, caller: &Caller, key: &str, fingerprint: &[u8; 32]) -> Result<Remembered, StoreFailure> {

@@ -9,20 +9,26 @@ use crate::jobs::store::{BlobPlace, Duty, LOSSES_MAX, Memory, StoreFailure, Swep
 use sqlx::AssertSqlSafe;
 use std::time::Duration;
 
+/// Of an asset: no item of a batch waits to be rigged from it.
+const NOT_AWAITED: &str = "NOT EXISTS (SELECT 1 FROM batch_items i WHERE i.asset = assets.id AND i.state = 'pending')";
+
 /// Whether [`sweep`] would change anything.
 pub async fn anything_due(
     connection: &mut impl Connection,
     memory: Memory,
     now: Timestamp,
 ) -> Result<bool, StoreFailure> {
-    let due = sql("SELECT CAST(CASE WHEN EXISTS (SELECT 1 FROM jobs WHERE state = 'running' AND lease_until < $1) \
+    let due = sql(AssertSqlSafe(format!(
+        "SELECT CAST(CASE WHEN EXISTS (SELECT 1 FROM jobs WHERE state = 'running' AND lease_until < $1) \
          OR EXISTS (SELECT 1 FROM jobs WHERE state = 'queued' AND deadline_at <= $1) \
          OR EXISTS (SELECT 1 FROM jobs WHERE state = 'succeeded' AND expires_at <= $1) \
-         OR EXISTS (SELECT 1 FROM assets WHERE expires_at <= $1) \
+         OR EXISTS (SELECT 1 FROM assets WHERE expires_at <= $1 AND {NOT_AWAITED}) \
          OR EXISTS (SELECT 1 FROM idempotency WHERE expires_at <= $1) \
          OR EXISTS (SELECT 1 FROM jobs WHERE finished_at <= $2) \
+         OR EXISTS (SELECT 1 FROM batches WHERE finished_at <= $2) \
          OR (SELECT count(*) FROM (SELECT 1 FROM jobs LIMIT $3) known) >= $3 \
-         THEN 1 ELSE 0 END AS BIGINT) AS due")
+         THEN 1 ELSE 0 END AS BIGINT) AS due"
+    )))
     .bind(now.0)
     .bind(now.0.saturating_sub(millis(memory.records_time)))
     .bind(int(memory.records_max as u64).saturating_add(1))
@@ -45,7 +51,10 @@ pub async fn sweep(connection: &mut impl Connection, memory: Memory, now: Timest
     for row in &expired {
         swept.changed.push(rows::job_id(row)?);
     }
-    let assets = sql("DELETE FROM assets WHERE expires_at <= $1").bind(now.0).execute(connection).await?;
+    let assets = sql(AssertSqlSafe(format!("DELETE FROM assets WHERE expires_at <= $1 AND {NOT_AWAITED}")))
+        .bind(now.0)
+        .execute(connection)
+        .await?;
     sql("DELETE FROM idempotency WHERE expires_at <= $1").bind(now.0).execute(connection).await?;
     let forgotten = forget(connection, memory, now).await?;
     swept.freed |= !expired.is_empty() || assets > 0 || forgotten > 0;
@@ -111,6 +120,10 @@ async fn forget(connection: &mut impl Connection, memory: Memory, now: Timestamp
         .bind(now.0.saturating_sub(millis(memory.records_time)))
         .execute(connection)
         .await?;
+    sql("DELETE FROM batches WHERE finished_at <= $1")
+        .bind(now.0.saturating_sub(millis(memory.records_time)))
+        .execute(connection)
+        .await?;
     // Counted only where there is a bound: a large table takes its time.
     if memory.records_max == usize::MAX {
         return Ok(old);
@@ -135,7 +148,8 @@ pub async fn expire_oldest<C: Connection>(connection: &mut C) -> Result<bool, St
     let job = sql("SELECT id, finished_at AS at FROM jobs WHERE state = 'succeeded' ORDER BY finished_at, id LIMIT 1")
         .optional(connection)
         .await?;
-    let asset = sql("SELECT id, used_at AS at FROM assets ORDER BY used_at, id LIMIT 1").optional(connection).await?;
+    let oldest = format!("SELECT id, used_at AS at FROM assets WHERE {NOT_AWAITED} ORDER BY used_at, id LIMIT 1");
+    let asset = sql(AssertSqlSafe(oldest)).optional(connection).await?;
     let at = |row: &C::Row| row.get::<i64>("at");
     let query = match (&job, &asset) {
         (None, None) => return Ok(false),
@@ -156,8 +170,10 @@ pub async fn collect(connection: &mut impl Connection) -> Result<Vec<BlobPlace>,
         return Ok(Vec::new());
     }
     connection.lock(Lock::Forgetting).await?;
-    sql("DELETE FROM assets WHERE explicit = 0 AND NOT EXISTS (SELECT 1 FROM jobs WHERE jobs.asset = assets.id \
-         AND jobs.state IN ('queued', 'running', 'succeeded'))")
+    sql(AssertSqlSafe(format!(
+        "DELETE FROM assets WHERE explicit = 0 AND {NOT_AWAITED} AND NOT EXISTS (SELECT 1 FROM jobs \
+         WHERE jobs.asset = assets.id AND jobs.state IN ('queued', 'running', 'succeeded'))"
+    )))
     .execute(connection)
     .await?;
     let forgotten =
