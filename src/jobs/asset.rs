@@ -1,9 +1,7 @@
 //! Uploaded meshes that outlive one request: the same files of the same caller are the same asset.
 
-use super::check::Check;
 use super::ids::AssetId;
 use super::job::FileInfo;
-use std::sync::Arc;
 use std::time::SystemTime;
 
 /// An upload that is kept.
@@ -30,6 +28,4 @@ impl Asset {
 pub struct PutAsset {
     pub asset: Asset,
     pub created: bool,
-    /// What it holds.
-    pub check: Arc<Check>,
 }

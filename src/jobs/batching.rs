@@ -2,7 +2,8 @@
 
 use super::batch::{Batch, BatchItem, NewBatch, OpenBatch, PendingItem, Settled};
 use super::ids::BatchId;
-use super::queue::{Denied, Jobs};
+use super::looking::Denied;
+use super::queue::Jobs;
 use super::store::StoreFailure;
 use super::submission::{Caller, Refusal};
 

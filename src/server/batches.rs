@@ -70,7 +70,7 @@ async fn round(app: &App) -> Result<bool, StoreFailure> {
 /// Makes a job of an item, or notes why it will be none. `false`: it must wait.
 async fn place(app: &App, batch: &OpenBatch, item: PendingItem) -> Result<bool, StoreFailure> {
     let PendingItem { position, request } = item;
-    let identity = Identity { caller: batch.caller.clone(), jobs_max: batch.jobs_max };
+    let identity = Identity { caller: batch.caller.clone(), jobs_max: batch.jobs_max, key_id: None };
     let settled = match order(app, &identity, batch.id, position, &request).await {
         Ok(Submitted { job, .. }) => Settled::Job(job.id),
         Err(error) if must_wait(error.code) => return Ok(false),

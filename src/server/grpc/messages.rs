@@ -167,8 +167,8 @@ impl From<&ArtifactInfo> for Artifact {
 
 impl From<&Notice> for Finding {
     fn from(notice: &Notice) -> Self {
-        let views::FindingView { code, severity, message, hint } = notice.into();
-        Self { code, severity: severity.to_owned(), message, hint }
+        let views::FindingView { code, severity, message, hint, r#where } = notice.into();
+        Self { code, severity: severity.to_owned(), message, hint, r#where }
     }
 }
 

@@ -3,6 +3,7 @@
 use super::super::App;
 use super::super::http::artifacts;
 use super::super::http::authenticate::Identity;
+use super::super::http::check_views::CheckView;
 use super::super::http::error::ApiError;
 use super::super::http::outermost::AboutJob;
 use super::super::http::receive::Order;
@@ -21,7 +22,6 @@ use super::proto::rigsmith::v1::{
 use super::streams::{self, Chunks, RigEvents};
 use super::{deadline, identity};
 use crate::jobs::{Job, JobFilter, JobState, RigOptions, Submitted};
-use serde_json::Value;
 use std::time::SystemTime;
 use tonic::{Request, Response, Status, Streaming};
 
@@ -73,8 +73,10 @@ impl RigService for RigDoor {
         let wishes = read(options).0.finish(app.jobs.settings())?;
         let source = source(app, mesh).await?;
         let report = app.jobs.check(&identity.caller, source, wishes.options).await.map_err(ApiError::from)?;
-        let riggable = report.get("riggable").and_then(Value::as_str).unwrap_or_default().to_owned();
-        Ok(Response::new(CheckRigResponse { riggable, report: Some(structure(&report)) }))
+        let report = serde_json::to_value(CheckView::from(&report)).map_err(|error| ApiError::internal(&error))?;
+        let riggable = report["riggable"].as_str().unwrap_or_default().to_owned();
+        let report = report.as_object().map(structure);
+        Ok(Response::new(CheckRigResponse { riggable, report }))
     }
 
     async fn create_rig(&self, request: Request<CreateRigRequest>) -> Result<Response<Operation>, Status> {

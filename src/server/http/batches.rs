@@ -11,7 +11,7 @@ use super::receive;
 use super::rigs::{PAGE_SIZE, page_size, why_none};
 use super::segments::Segments;
 use super::views::{JobErrorView, JobView};
-use crate::jobs::{BatchId, BatchItem, Caller, ErrorCode, ItemState, JobState, NewBatch, NewItem};
+use crate::jobs::{BatchId, BatchItem, Caller, ErrorCode, ItemState, JobState, Missing, NewBatch, NewItem};
 use crate::server::uploads;
 use axum::Json;
 use axum::body::Body;
@@ -99,7 +99,7 @@ async fn lines_of(app: &App, caller: &Caller, id: &str) -> Result<bytes::Bytes, 
     if asset.bytes() > LINES_BYTES_MAX {
         return Err(ApiError::too_large(LINES_BYTES_MAX, Some(asset.bytes())));
     }
-    let mut files = app.jobs.load_asset(caller, asset.id).await?;
+    let mut files = app.jobs.load_files(&asset.files, Missing::Asset).await?;
     Ok(files.swap_remove(0).bytes)
 }
 

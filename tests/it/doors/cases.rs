@@ -4,7 +4,7 @@ use super::asks::{Ask, Create, Door, Mesh, Over, Said, create, script};
 use crate::http::scripted::{Service, request};
 use rigsmith::jobs::Readiness;
 use rigsmith::server::app;
-use rigsmith::server::keys::{self, Keys, Quota};
+use rigsmith::server::keys::{self, Keys, OwnQuota, Quota};
 use serde_json::{Value, json};
 
 const SKELETON: &str =
@@ -243,10 +243,12 @@ async fn keys_open_both_doors_or_neither() {
         let mut service = Service::new();
         let folder = tempfile::tempdir().expect("folder");
         let path = folder.path().join("keys.toml");
-        let studio = keys::add(&path, "studio", None, None).expect("a key");
-        let farm = keys::add(&path, "farm", Some(2), Some(1)).expect("a key");
-        let quota = Quota { requests_per_minute: 100, jobs: 4 };
-        service.state = service.state.clone().with_keys(Keys::open(&path, quota).expect("keys"));
+        let studio = keys::add(&path, "studio", OwnQuota::default()).expect("a key");
+        let farm =
+            keys::add(&path, "farm", OwnQuota { requests_per_minute: Some(2), jobs: Some(1), ..OwnQuota::default() })
+                .expect("a key");
+        let quota = Quota { requests_per_minute: 100, jobs: 4, upload_bytes_per_hour: 1 << 30 };
+        service.state = service.state.clone().with_keys(Keys::open(&path, quota).expect("keys")).expect("a secret");
         service.router = app(service.state.clone());
         let door = |key: Option<&str>| Door { service: &service, key: key.map(str::to_owned), over };
         let answers = [

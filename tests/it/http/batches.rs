@@ -3,7 +3,7 @@
 use super::scripted::{Answer, Service, request};
 use super::socket::{Running, start};
 use rigsmith::server::app;
-use rigsmith::server::keys::{self, Keys, Quota};
+use rigsmith::server::keys::{self, Keys, OwnQuota, Quota};
 use serde_json::{Value, json};
 use std::time::Duration;
 
@@ -210,10 +210,13 @@ async fn a_batch_has_no_more_jobs_than_its_key_may_and_is_its_callers_own() {
     let mut service = Service::new();
     let folder = tempfile::tempdir().expect("folder");
     let path = folder.path().join("keys.toml");
-    let bearer = format!("Bearer {}", keys::add(&path, "studio", None, Some(1)).expect("a key"));
-    let other = format!("Bearer {}", keys::add(&path, "farm", None, None).expect("a key"));
-    let quota = Quota { requests_per_minute: 10_000, jobs: 4 };
-    service.state = service.state.clone().with_keys(Keys::open(&path, quota).expect("keys"));
+    let bearer = format!(
+        "Bearer {}",
+        keys::add(&path, "studio", OwnQuota { jobs: Some(1), ..OwnQuota::default() }).expect("a key")
+    );
+    let other = format!("Bearer {}", keys::add(&path, "farm", OwnQuota::default()).expect("a key"));
+    let quota = Quota { requests_per_minute: 10_000, jobs: 4, upload_bytes_per_hour: 1 << 30 };
+    service.state = service.state.clone().with_keys(Keys::open(&path, quota).expect("keys")).expect("a secret");
     service.router = app(service.state.clone());
     let _running = start(&service).await;
     let mine = ("authorization", bearer.as_str());
