@@ -168,6 +168,7 @@ mod tests {
                 "memory_mib",
                 "metrics_listen",
                 "otlp_endpoint",
+                "outgoing_hosts",
                 "otlp_headers",
                 "database",
                 "storage",

@@ -63,21 +63,6 @@ impl Jobs {
         Ok(self.core().looks.keep(key, check))
     }
 
-    /// The same for an upload that is to become an asset; gives it back.
-    pub(super) async fn check_received(&self, received: Received) -> Result<(Arc<Check>, Received), Refusal> {
-        let files = received.files();
-        let key = key(&files);
-        if let Some(known) = self.core().looks.get(&key) {
-            return Ok((known, received));
-        }
-        self.fits(&files)?;
-        let permit = self.turn_to_look().await?;
-        match self.look(permit, Files::Received(received), RigOptions::default()).await? {
-            (check, Files::Received(received)) => Ok((self.core().looks.keep(key, check), received)),
-            (_, Files::Loaded(_)) => Err(Refusal::Draining),
-        }
-    }
-
     async fn turn_to_look(&self) -> Result<OwnedSemaphorePermit, Refusal> {
         self.core().checks.clone().acquire_owned().await.map_err(|_| Refusal::Draining)
     }

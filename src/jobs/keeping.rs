@@ -11,9 +11,6 @@ use super::submission::{Caller, Missing, Refusal};
 use super::upload::Received;
 use crate::storage::Content;
 
-/// How the name of a list of batch items ends.
-const LIST_SUFFIX: &str = ".jsonl";
-
 impl Jobs {
     /// Files by their digests, read; the main one first.
     pub async fn load_files(&self, files: &[FileInfo], missing: Missing) -> Result<Vec<NamedFile>, Refusal> {
@@ -25,13 +22,12 @@ impl Jobs {
         self.core().load(&places).await.map_err(Refusal::Store)
     }
 
-    /// Keeps an upload as an asset of `caller`, or finds the one that it is. One that cannot be read as a mesh is
-    /// refused, unless it is a list of batch items.
+    /// Keeps an upload as an asset of `caller`, or finds the one that it is. What it holds is looked at when somebody asks
+    /// ([`Self::check_asset`]): a mesh that cannot be read is kept too, so that a batch can tell which of its items failed.
     pub async fn put_asset(&self, caller: &Caller, received: Received) -> Result<PutAsset, Refusal> {
         if self.core().is_draining() {
             return Err(Refusal::Draining);
         }
-        let received = if is_list(&received.files()) { received } else { self.check_received(received).await?.1 };
         let (core, caller) = (self.core().clone(), caller.clone());
         let memory_bytes = memory::expected_bytes(&received.files());
         let put = self.core().detached(async move {
@@ -68,9 +64,4 @@ impl Jobs {
         let place = self.core().jobs.blob(sha256).await?;
         Ok(place.map(|place| self.core().files.content(&place.location, place.bytes)))
     }
-}
-
-/// Whether an upload holds the lines of a batch, which no check reads: the batch does.
-fn is_list(files: &[FileInfo]) -> bool {
-    matches!(files, [only] if only.name.ends_with(LIST_SUFFIX))
 }

@@ -204,7 +204,7 @@ pub fn rig_json(rig: Rig) -> Value {
         .map(|model| json!({"name": model.name, "sha256": model.sha256, "self_test": model.self_test}))
         .collect();
     let warnings = rig.warnings.into_iter().map(|finding| {
-        json!({"code": finding.code, "severity": finding.severity, "message": finding.message, "hint": finding.hint})
+        json!({"code": finding.code, "severity": finding.severity, "message": finding.message, "hint": finding.hint, "where": finding.r#where})
     });
     let result = rig.result.map(|result| {
         let mut members = object(result.report.expect("a report"));
