@@ -75,7 +75,11 @@ impl RigService for RigDoor {
         let report = app.jobs.check(&identity.caller, source, wishes.options).await.map_err(ApiError::from)?;
         let report = serde_json::to_value(CheckView::from(&report)).map_err(|error| ApiError::internal(&error))?;
         let riggable = report["riggable"].as_str().unwrap_or_default().to_owned();
-        let report = report.as_object().map(structure);
+        // What kind of thing it is, the message says.
+        let report = report.as_object().cloned().map(|mut members| {
+            members.remove("object");
+            structure(&members)
+        });
         Ok(Response::new(CheckRigResponse { riggable, report }))
     }
 

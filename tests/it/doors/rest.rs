@@ -25,7 +25,7 @@ impl Door<'_> {
                 let answer = self.order("/v1/rigs:check", &create).await;
                 said(&answer, |mut check| {
                     check.as_object_mut().expect("an object").remove("object");
-                    check
+                    whole(check)
                 })
             }
             Ask::Get(id) => {
@@ -142,5 +142,18 @@ fn refused(answer: &Answer) -> Said {
         retry: answer.headers.contains_key("retry-after"),
         fields: fields.collect(),
         limit: problem["limit"].clone(),
+    }
+}
+
+/// Numbers without a fraction as whole ones: in a `google.protobuf.Struct` all are alike.
+fn whole(value: Value) -> Value {
+    match value {
+        Value::Number(number) => match number.as_f64() {
+            Some(real) if real.fract() == 0.0 => (real as i64).into(),
+            _ => Value::Number(number),
+        },
+        Value::Array(members) => members.into_iter().map(whole).collect(),
+        Value::Object(members) => members.into_iter().map(|(name, member)| (name, whole(member))).collect(),
+        other => other,
     }
 }

@@ -230,26 +230,21 @@ async fn an_asset_tells_what_it_holds_and_is_looked_at_once() {
 }
 
 #[tokio::test]
-async fn what_cannot_be_read_is_no_asset_but_the_files_of_a_waiting_rig_say_so() {
+async fn what_cannot_be_read_is_kept_and_says_why() {
     let service = Service::new();
-    upload(&service, "fail no_geometry").await.refused(422, "no_geometry");
-    service.keeps(0);
-    for script in ["hang", "hang 2"] {
-        service.rig("", &[], script).await;
-    }
-    let waiting = service.rig("", &[], "fail no_geometry").await.json();
-    let asset = service.get(&format!("/v1/assets/{}", waiting["asset"].as_str().expect("an asset"))).await;
-    assert_eq!((asset.status.as_u16(), &asset.json()["mesh"]), (200, &Value::Null));
+    let asset = upload(&service, "fail no_geometry").await;
+    assert_eq!((asset.status.as_u16(), &asset.json()["mesh"]), (201, &Value::Null));
     let finding = &asset.json()["findings"][0];
     assert_eq!((&finding["code"], &finding["severity"]), (&json!("no_geometry"), &json!("error")));
+    let again = service.get(&format!("/v1/assets/{}", asset.json()["id"].as_str().expect("an id"))).await;
+    assert_eq!((again.status.as_u16(), &again.json()["findings"]), (200, &asset.json()["findings"]));
 }
 
 #[tokio::test]
-async fn a_check_and_an_asset_that_need_more_memory_than_there_is_are_refused() {
+async fn a_check_that_needs_more_memory_than_there_is_is_refused_and_an_asset_says_so() {
     let service = Service::with(|settings, _| settings.memory_bytes_max = Some(1 << 20));
-    upload(&service, "ok").await.refused(413, "out_of_memory");
+    assert_eq!(upload(&service, "ok").await.json()["findings"][0]["code"], "out_of_memory");
     service.send(request("POST", "/v1/rigs:check", &[OBJ], "ok")).await.refused(413, "out_of_memory");
-    service.keeps(0);
 }
 
 #[tokio::test]
