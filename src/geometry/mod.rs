@@ -7,6 +7,7 @@ pub mod bone_pairs;
 pub mod bvh;
 pub mod close_pairs;
 pub mod hollow_distance;
+mod hollow_search;
 pub mod medial_offset;
 pub mod neighbor_table;
 pub mod orientation;

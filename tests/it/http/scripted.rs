@@ -144,7 +144,11 @@ impl Rigger for Scripted {
 
     fn check(&self, request: &RigRequest, watch: &Watch) -> Result<Check, JobError> {
         self.checks.fetch_add(1, Ordering::SeqCst);
-        self.act(&String::from_utf8_lossy(&request.files.first().expect("a file").bytes), watch)?;
+        let script = String::from_utf8_lossy(&request.files.first().expect("a file").bytes).into_owned();
+        // What hangs, hangs at work; a look at the file is short.
+        if !script.starts_with("hang") {
+            self.act(&script, watch)?;
+        }
         Ok(Check {
             riggable: Riggable::Yes,
             suggested_method: "rignet",
