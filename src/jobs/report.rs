@@ -147,11 +147,10 @@ pub fn method_info(method: Method, models: &Models, limits: &Limits) -> MethodIn
     let (title, description) = match method {
         Method::RigNet => (
             "RigNet",
-            "Skeleton and skin weights for any character, by mesh graph networks [Xu et al. 2020, Neural Rigging for \
-             Articulated Characters]",
+            "A skeleton for any character by mesh graph networks [Xu et al. 2020, Neural Rigging for Articulated \
+             Characters], skin weights by the method that skin_method names",
         ),
     };
-    let models_of_method = models.statuses().iter().filter(|model| model.name.starts_with(method.name()));
     MethodInfo {
         name: method.name().into(),
         title: title.into(),
@@ -161,7 +160,10 @@ pub fn method_info(method: Method, models: &Models, limits: &Limits) -> MethodIn
             Some(reason) => Availability::Unavailable { reason },
         },
         licence: models.licence().weights.clone(),
-        models: models_of_method
+        // Any skin network may have a part in its rigs, so all are its networks: a kept result is of all their digests.
+        models: models
+            .statuses()
+            .iter()
             .map(|model| ModelInfo {
                 name: model.name.into(),
                 sha256: model.sha256.clone(),

@@ -186,7 +186,7 @@ fn methods_lists_networks_with_digest_licence_and_self_test() {
     let output = rigsmith(folder.path(), &["methods"]);
     succeeded(&output);
     let text = String::from_utf8_lossy(&output.stdout);
-    for word in ["rignet", "available", "licence", "sha256", "rignet_skin", "passed"] {
+    for word in ["rignet", "available", "licence", "sha256", "rignet_skin", "heter_skin_net", "passed"] {
         assert!(text.contains(word), "{word} is missing in:\n{text}");
     }
 }
