@@ -53,6 +53,10 @@ pub struct AnySkeletonArguments {
     /// What weighs the vertices: auto, rignet, heter_skin_net, geodesic_voxel or geodesic_heat.
     #[arg(long, value_name = "NAME")]
     skin_method: Option<String>,
+    /// A character made of boxes: auto puts joints where its boxes touch and moves each box as a whole (unless
+    /// --skin-method is given); off rigs it like any other.
+    #[arg(long, value_name = "auto|off")]
+    boxes: Option<String>,
     /// Most joints that may move one vertex, 1 to 8.
     #[arg(long, value_name = "N")]
     max_influences: Option<String>,
@@ -88,6 +92,7 @@ impl AnySkeletonArguments {
         vec![
             ("symmetry", &self.symmetry),
             ("skin_method", &self.skin_method),
+            ("boxes", &self.boxes),
             ("max_influences", &self.max_influences),
             ("seed", &self.seed),
             ("up", &self.up),

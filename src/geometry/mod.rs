@@ -4,6 +4,7 @@
 //! gives the same output for any number of threads.
 
 pub mod bone_pairs;
+pub mod box_parts;
 pub mod bvh;
 pub mod close_pairs;
 pub mod hollow_distance;

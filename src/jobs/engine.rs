@@ -2,7 +2,7 @@
 
 use super::check::Check;
 use super::failure::{ErrorCode, JobError};
-use super::options::{Output, RigOptions};
+use super::options::{Boxes, Output, RigOptions};
 use super::perform::{Artifact, MethodInfo, Outcome, Readiness, RigRequest, Rigger, Watch};
 use super::report;
 use super::skeleton::read_skeleton;
@@ -165,6 +165,8 @@ fn pipeline_options(method: Method, options: &RigOptions) -> pipelines::RigOptio
         level_of_detail: options.level_of_detail,
         symmetry: options.symmetry,
         skin_method: options.skin_method.unwrap_or_default(),
+        boxes: options.boxes == Boxes::Auto,
+        rigid_boxes: options.boxes == Boxes::Auto && options.skin_method.is_none(),
         max_influences: options.max_influences,
         seed: options.seed,
     }

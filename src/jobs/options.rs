@@ -19,6 +19,8 @@ pub struct RigOptions {
     pub symmetry: Symmetry,
     /// What weighs the vertices; `None`: the service chooses.
     pub skin_method: Option<SkinMethod>,
+    /// What becomes of a character made of boxes.
+    pub boxes: Boxes,
     /// A skeleton in upload space to make weights for, instead of making one. It stays as it is.
     pub skeleton: Option<Arc<Skeleton>>,
     /// Joints per vertex at most.
@@ -39,6 +41,7 @@ impl Default for RigOptions {
             level_of_detail: LevelOfDetail::Detail(DEFAULT_DETAIL),
             symmetry: Symmetry::Auto,
             skin_method: None,
+            boxes: Boxes::Auto,
             skeleton: None,
             max_influences: DEFAULT_MAX_INFLUENCES,
             seed: 0,
@@ -63,6 +66,7 @@ impl RigOptions {
             "bandwidth": bandwidth,
             "symmetry": self.symmetry.name(),
             "skin_method": skin_method_name(self.skin_method),
+            "boxes": self.boxes.name(),
             "skeleton": self.skeleton.as_deref().map(rig_json::skeleton_json),
             "max_influences": self.max_influences,
             "seed": self.seed,
@@ -72,6 +76,15 @@ impl RigOptions {
             "outputs": self.outputs.iter().map(|output| output.name()).collect::<Vec<_>>(),
         })
     }
+}
+
+/// What becomes of a character made of boxes, as in block games.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Boxes {
+    /// Joints where its boxes touch; each box moves as a whole, unless a skin method is named.
+    Auto,
+    /// It is rigged like any other.
+    Off,
 }
 
 /// A file to make.
@@ -110,6 +123,10 @@ impl Words for Symmetry {
         &[("auto", Symmetry::Auto), ("on", Symmetry::On), ("off", Symmetry::Off)];
 }
 
+impl Words for Boxes {
+    const WORDS: &'static [(&'static str, Self)] = &[("auto", Boxes::Auto), ("off", Boxes::Off)];
+}
+
 impl Words for Option<SkinMethod> {
     const WORDS: &'static [(&'static str, Self)] = &[
         ("auto", None),
@@ -141,6 +158,12 @@ pub fn skin_method_name(method: Option<SkinMethod>) -> &'static str {
 }
 
 impl Symmetry {
+    pub fn name(self) -> &'static str {
+        self.word()
+    }
+}
+
+impl Boxes {
     pub fn name(self) -> &'static str {
         self.word()
     }

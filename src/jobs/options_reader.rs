@@ -72,6 +72,7 @@ impl OptionsReader {
         "bandwidth",
         "symmetry",
         "skin_method",
+        "boxes",
         "skeleton",
         "max_influences",
         "seed",
@@ -137,6 +138,7 @@ impl OptionsReader {
             "bandwidth" => options.level_of_detail = LevelOfDetail::Bandwidth(number(raw, BANDWIDTH)?),
             "symmetry" => options.symmetry = word(raw)?,
             "skin_method" => options.skin_method = word(raw)?,
+            "boxes" => options.boxes = word(raw)?,
             "skeleton" => options.skeleton = Some(skeleton(raw)?),
             "max_influences" => options.max_influences = whole(raw, MAX_INFLUENCES)? as usize,
             "seed" => options.seed = whole(raw, 0..=u64::MAX)?,
@@ -246,6 +248,7 @@ fn outputs(raw: Raw) -> Result<Vec<Output>, String> {
 mod tests {
     use super::*;
     use crate::formats::ExistingRigPolicy;
+    use crate::jobs::options::Boxes;
     use crate::pipelines::{SkinMethod, Symmetry};
     use serde_json::json;
 
@@ -264,6 +267,7 @@ mod tests {
             ("detail", "0.75", json!(0.75)),
             ("symmetry", "off", json!("off")),
             ("skin_method", "geodesic_voxel", json!("geodesic_voxel")),
+            ("boxes", "off", json!("off")),
             ("skeleton", &file.to_string(), file.clone()),
             ("max_influences", "8", json!(8)),
             ("seed", "18446744073709551615", json!(u64::MAX)),
@@ -282,6 +286,7 @@ mod tests {
             level_of_detail: LevelOfDetail::Detail(0.75),
             symmetry: Symmetry::Off,
             skin_method: Some(SkinMethod::GeodesicVoxel),
+            boxes: Boxes::Off,
             skeleton: Some(Arc::new(rig_json::read(file.to_string().as_bytes()).expect("reads").skeleton)),
             max_influences: 8,
             seed: u64::MAX,

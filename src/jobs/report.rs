@@ -18,7 +18,7 @@ pub fn facts(
     models: &Models,
 ) -> Map<String, Value> {
     let (rig, facts) = (&rigged.rig, &rigged.facts);
-    let skin_method = options.skin_method.unwrap_or_default();
+    let skin_method = if facts.is_rigid { RIGID_BOXES } else { options.skin_method.unwrap_or_default().name() };
     let digests: Vec<Value> =
         models.statuses().iter().map(|model| json!({"name": model.name, "sha256": model.sha256})).collect();
     object(json!({
@@ -37,12 +37,13 @@ pub fn facts(
             "depth": rig.skeleton.depth(),
             "symmetric": facts.symmetry_plane.is_some(),
             "given": options.skeleton.is_some(),
+            "boxes": facts.boxes,
         },
         "skin": {
             "vertices": rig.skin.rows.len(),
             "max_influences": rig.skin.rows.iter().map(Vec::len).max().unwrap_or(0),
             "unweighted": 0,
-            "method": skin_method.name(),
+            "method": skin_method,
             "by_nearest_bone": facts.vertices_by_nearest_bone,
         },
         "symmetry": {
@@ -88,10 +89,28 @@ fn quality(quality: &Quality, names: &[&str]) -> Value {
 /// Less than this share of a joint's weight far from it is not worth a line.
 const BLEED_TOLD: f64 = 0.005;
 
+/// The skin method of characters made of boxes.
+const RIGID_BOXES: &str = "rigid_boxes";
+
 /// What is worth telling about the rig besides its facts.
 pub fn findings(rigged: &Rigged) -> Vec<Finding> {
     let Facts { vertices_by_nearest_bone, joints_inside, ref joints_far_outside, .. } = rigged.facts;
     let mut findings = Vec::new();
+    if let Some(boxes) = rigged.facts.boxes {
+        findings.push(Finding {
+            code: "made_of_boxes",
+            parts: Vec::new(),
+            severity: Severity::Info,
+            message: format!(
+                "the character is made of {boxes} boxes: joints lie where they touch{}",
+                match rigged.facts.is_rigid {
+                    true => ", and each box moves as a whole",
+                    false => "",
+                }
+            ),
+            hint: "send `boxes: off` to rig it like any other".into(),
+        });
+    }
     if let Some(first) = joints_far_outside.first().and_then(|&joint| rigged.rig.skeleton.joints.get(joint)) {
         findings.push(Finding {
             code: "joints_far_outside",

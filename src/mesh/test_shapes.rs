@@ -45,6 +45,17 @@ pub fn tube(centre: DVec3, radius: f64, height: f64, around: u32, along: u32) ->
     grid(around, along, |s, t| centre + DVec3::new(radius * (TAU * s).cos(), height * t, -radius * (TAU * s).sin()))
 }
 
+/// Closed, with eight vertices.
+pub fn cuboid(centre: DVec3, half: DVec3) -> Mesh {
+    let corner = |index: u32| {
+        let side = |axis: u32| if index >> axis & 1 == 1 { 1.0 } else { -1.0 };
+        centre + half * DVec3::new(side(0), side(1), side(2))
+    };
+    let sides = [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]];
+    let triangles = sides.iter().flat_map(|&[a, b, c, d]| [[a, b, c], [a, c, d]]).collect();
+    Mesh { positions: (0..8).map(corner).collect(), triangles }
+}
+
 /// Several parts as one mesh; vertices stay apart.
 pub fn joined(parts: &[Mesh]) -> Mesh {
     let mut all = Mesh::default();

@@ -1,5 +1,6 @@
 //! The published methods, one file each, composed from mesh, geometry, nets and rig.
 
+mod boxes;
 pub mod heter_skin;
 mod prepared;
 pub mod rignet;
@@ -121,6 +122,10 @@ pub struct RigOptions {
     pub level_of_detail: LevelOfDetail,
     pub symmetry: Symmetry,
     pub skin_method: SkinMethod,
+    /// Whether a character made of boxes gets its joints from them,
+    pub boxes: bool,
+    /// and whether its boxes move as a whole, whatever the skin method.
+    pub rigid_boxes: bool,
     /// Most joints that may move one vertex, 1 to 8.
     pub max_influences: usize,
     /// Fixes every choice that is not decided by the mesh.
@@ -134,6 +139,8 @@ impl Default for RigOptions {
             level_of_detail: LevelOfDetail::Detail(0.5),
             symmetry: Symmetry::Auto,
             skin_method: SkinMethod::default(),
+            boxes: true,
+            rigid_boxes: true,
             max_influences: 4,
             seed: 0,
         }
@@ -183,8 +190,12 @@ pub struct Facts {
     pub symmetry_plane: Option<(DVec3, DVec3)>,
     /// 0 to 1: how well the best vertical plane mirrors the shape.
     pub symmetry_score: f64,
-    /// The mean-shift bandwidth that was used, in the normalised frame; `None` for a skeleton that was given.
+    /// The mean-shift bandwidth that was used, in the normalised frame; `None` for a skeleton that was given or made of boxes.
     pub bandwidth: Option<f64>,
+    /// The number of boxes, where the character is made of them and this was made use of.
+    pub boxes: Option<usize>,
+    /// Whether every box moves as a whole.
+    pub is_rigid: bool,
     /// Share of joints inside the solid.
     pub joints_inside: f64,
     /// Joints of a given skeleton that are nowhere near the mesh, by index.

@@ -1,6 +1,7 @@
 //! RigNet [Xu et al. 2020], Section 4, in the paper's order, with what a service has to add: any upload comes in, a
 //! working mesh is made of it, and the weights go back to the upload's own vertices.
 
+use super::boxes::Boxes;
 use super::prepared::{Prepared, SYMMETRIC_FROM};
 use super::shape::{Shape, points_f32};
 use super::skin::{SkinNets, judged, weigh};
@@ -30,29 +31,44 @@ pub(super) fn rig(
 
     watch.enter(Stage::Geometry)?;
     let shape = Shape::new(subject.working.mesh.clone());
-    let graph = shape.graph(options.seed);
     let plane = mirror_plane(&shape.symmetry, options.symmetry);
+    let boxes = options.boxes.then(|| Boxes::of(&subject)).flatten();
+    let of_boxes = boxes.as_ref().and_then(|boxes| Some((boxes, boxes.skeleton(options.level_of_detail)?)));
 
-    watch.enter(Stage::Joints)?;
-    let detected = find_joints(&shape, &graph, nets, plane.as_ref(), options, watch)?;
-
-    watch.enter(Stage::Connect)?;
-    let skeleton = connect(&shape, &graph, nets, &detected, watch)?;
+    let (skeleton, graph, bandwidth) = match &of_boxes {
+        Some((_, made)) => (made.skeleton.clone(), None, None),
+        None => {
+            let graph = shape.graph(options.seed);
+            watch.enter(Stage::Joints)?;
+            let detected = find_joints(&shape, &graph, nets, plane.as_ref(), options, watch)?;
+            watch.enter(Stage::Connect)?;
+            (connect(&shape, &graph, nets, &detected, watch)?, Some(graph), Some(detected.bandwidth))
+        }
+    };
 
     watch.enter(Stage::Skin)?;
-    let (skin, vertices_by_nearest_bone) = weigh(&shape, Some(&graph), &skeleton, skin_nets, options, watch)?;
-
-    let quality = judged(&shape, &skeleton, &skin, plane.as_ref());
+    let rigid = of_boxes.as_ref().filter(|_| options.rigid_boxes).map(|(boxes, made)| boxes.rigid(&made.joint_of_part));
+    let (working_skin, vertices_by_nearest_bone) = match &rigid {
+        Some(rigid) => (rigid.working.clone(), 0),
+        None => weigh(&shape, graph.as_ref(), &skeleton, skin_nets, options, watch)?,
+    };
+    let quality = judged(&shape, &skeleton, &working_skin, plane.as_ref());
 
     watch.enter(Stage::Transfer)?;
-    let skin = skin.transferred(&transfer_map(&subject.original, &subject.working), options.max_influences);
+    let is_rigid = rigid.is_some();
+    let skin = match rigid {
+        Some(rigid) => rigid.upload,
+        None => working_skin.transferred(&transfer_map(&subject.original, &subject.working), options.max_influences),
+    };
     let to_upload = |point: DVec3| subject.normalization.invert(point);
     let facts = Facts {
         working_vertices: shape.mesh.positions.len(),
         working_triangles: shape.mesh.triangles.len(),
         symmetry_plane: plane.map(|plane| subject.plane_in_upload(&plane)),
         symmetry_score: shape.symmetry.score,
-        bandwidth: Some(detected.bandwidth),
+        bandwidth,
+        boxes: of_boxes.map(|(boxes, _)| boxes.count()),
+        is_rigid,
         joints_inside: quality.joints_inside,
         joints_far_outside: Vec::new(),
         vertices_by_nearest_bone,

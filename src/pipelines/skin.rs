@@ -9,6 +9,7 @@
 //! Out: the same skeleton, and for every vertex of the upload one row of weights. Bones outside the body and parts without
 //! a bone are weighed too, see [`crate::geometry::voxel_binding`] and [`crate::geometry::volumetric_geodesic`].
 
+use super::boxes::Boxes;
 use super::heter_skin::WeighedBones;
 use super::prepared::{Prepared, SYMMETRIC_FROM};
 use super::shape::Shape;
@@ -50,19 +51,26 @@ pub(super) fn skin(
     let shape = Shape::new(subject.working.mesh.clone());
 
     watch.enter(Stage::Skin)?;
-    let (skin, vertices_by_nearest_bone) = weigh(&shape, None, &normalised, nets, options, watch)?;
-
-    let plane = (shape.symmetry.score >= SYMMETRIC_FROM).then_some(&shape.symmetry);
-    let quality = judged(&shape, &normalised, &skin, plane);
+    let (mut working_skin, vertices_by_nearest_bone) = weigh(&shape, None, &normalised, nets, options, watch)?;
 
     watch.enter(Stage::Transfer)?;
-    let skin = skin.transferred(&transfer_map(&subject.original, &subject.working), options.max_influences);
+    let transfer = transfer_map(&subject.original, &subject.working);
+    let mut skin = working_skin.transferred(&transfer, options.max_influences);
+    let boxes = options.rigid_boxes.then(|| Boxes::of(&subject)).flatten();
+    if let Some(boxes) = &boxes {
+        let rigid = boxes.stiffened(&skin, skeleton.joints.len());
+        (working_skin, skin) = (rigid.working, rigid.upload);
+    }
+    let plane = (shape.symmetry.score >= SYMMETRIC_FROM).then_some(&shape.symmetry);
+    let quality = judged(&shape, &normalised, &working_skin, plane);
     let facts = Facts {
         working_vertices: shape.mesh.positions.len(),
         working_triangles: shape.mesh.triangles.len(),
         symmetry_plane: plane.map(|plane| subject.plane_in_upload(plane)),
         symmetry_score: shape.symmetry.score,
         bandwidth: None,
+        is_rigid: boxes.is_some(),
+        boxes: boxes.as_ref().map(Boxes::count),
         joints_inside: quality.joints_inside,
         joints_far_outside: far_outside(&shape, &normalised),
         vertices_by_nearest_bone,

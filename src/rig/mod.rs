@@ -4,6 +4,7 @@
 //! |---------------------------------------|-------------------------------------------------------------------|
 //! | displaced points → joints             | [`detect_joints`], made of [`joint_clustering`], [`non_maximum_suppression`], [`symmetrize`] |
 //! | joints → tree → skeleton, bones       | [`spanning_tree`], [`skeleton`]                                   |
+//! | boxes → skeleton, weights             | [`box_skeleton`], for characters made of them                     |
 //! | bone distances → what the networks read | [`bone_features`], [`heter_graph`]                             |
 //! | logits or distances → weights         | [`bone_weights`], [`distance_falloff`], [`heat_weights`], [`skin_weights`] |
 //! | rig → posed mesh, figures             | [`bind_pose`], [`forward_kinematics`], [`linear_blend_skinning`], [`quality`], [`verdict`] |
@@ -12,6 +13,7 @@ pub mod bind_pose;
 mod bleed;
 pub mod bone_features;
 pub mod bone_weights;
+pub mod box_skeleton;
 mod cell_grid;
 pub mod detect_joints;
 pub mod distance_falloff;

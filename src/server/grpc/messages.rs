@@ -115,7 +115,7 @@ fn provenance(job: &Job, result: Option<&JobResult>) -> Provenance {
 impl From<RequestView> for RigOptions {
     fn from(request: RequestView) -> Self {
         let RequestView { options, wishes } = request;
-        let OptionsView { method, detail, bandwidth, symmetry, skin_method, skeleton, .. } = options;
+        let OptionsView { method, detail, bandwidth, symmetry, skin_method, boxes, skeleton, .. } = options;
         let WishesView { priority, timeout_seconds, retention_hours, labels } = wishes;
         let text = |word: &str| Some(word.to_owned());
         Self {
@@ -124,6 +124,7 @@ impl From<RequestView> for RigOptions {
             bandwidth,
             symmetry: text(symmetry),
             skin_method: text(skin_method),
+            boxes: text(boxes),
             skeleton,
             max_influences: u32::try_from(options.max_influences).ok(),
             seed: Some(options.seed),

@@ -3,7 +3,7 @@
 //! Defaults stand in the texts alone: generated clients send a parameter that has a `default` always, and then it contradicts
 //! the same field of the body.
 
-use super::words::{ExistingRigName, OutputName, PriorityName, SkinMethodName, SymmetryName};
+use super::words::{BoxesName, ExistingRigName, OutputName, PriorityName, SkinMethodName, SymmetryName};
 use crate::jobs::options::{axis_name, skin_method_name};
 use crate::jobs::{JobRequest, LevelOfDetail, RigOptions};
 use serde::Serialize;
@@ -35,6 +35,11 @@ pub struct OptionsView {
     #[param(required = false, value_type = SkinMethodName)]
     #[schema(example = "auto", required = false, value_type = SkinMethodName)]
     pub skin_method: &'static str,
+    /// A character made of boxes: `auto` (unless given) puts joints where its boxes touch and moves each box as a whole, unless a
+    /// `skin_method` is named; `off` rigs it like any other.
+    #[param(required = false, value_type = BoxesName)]
+    #[schema(example = "auto", required = false, value_type = BoxesName)]
+    pub boxes: &'static str,
     /// A skeleton to make weights for, instead of making one: the text of a `rig.json`, of which `format` and `joints` are
     /// read; in JSON also as an object. It stays as it is. A job shows how many joints it has.
     #[param(required = false)]
@@ -180,6 +185,7 @@ impl From<&RigOptions> for OptionsView {
             bandwidth,
             symmetry: options.symmetry.name(),
             skin_method: skin_method_name(options.skin_method),
+            boxes: options.boxes.name(),
             skeleton: options.skeleton.as_ref().map(|skeleton| format!("{} joints", skeleton.joints.len())),
             max_influences: options.max_influences,
             seed: options.seed,
