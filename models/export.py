@@ -5,6 +5,7 @@
     python models/export.py --untrained        also networks without a run (right interface, random weights)
     python models/export.py --joint-stage      displacement and attention from the joint fine-tuning
     A network whose further runs are named runs/<network>_2, _3 ... is exported as the mean of all of them.
+    Bone and root come from the runs of rignet_skeleton_stage.
     python models/evaluate.py                  afterwards: fills in the validation figures and the calibration
 """
 
@@ -24,6 +25,7 @@ from rigsmith_models.committee import Committee
 from rigsmith_models.folding import folded
 from rigsmith_models.networks import NETWORKS
 from rigsmith_models.train.joint_stage import JointStage
+from rigsmith_models.train.skeleton_stage import SkeletonStage
 from rigsmith_models.train.trainer import Settings, averaged_network
 
 HERE = Path(__file__).parent
@@ -57,6 +59,8 @@ def random_inputs(names, seed: int, sizes: dict[str, int]) -> dict[str, np.ndarr
             feed[name] = positions.astype(np.float32)
         elif INDICES.get(name) == "V":
             feed[name] = np.ascontiguousarray(nearest[:, : shape[1]])
+        elif name == "pairs":
+            feed[name] = np.stack(np.triu_indices(sizes["J"], 1), axis=1)
         elif name in INDICES:
             feed[name] = rng.integers(0, {**sizes, "L": sizes["V"] * LINKS_PER_VERTEX}[INDICES[name]], shape)
         elif name in ("bone_mask", "link_mask"):
@@ -82,7 +86,7 @@ class OneCharacter(torch.nn.Module):
 def to_onnx(network: torch.nn.Module, path: Path) -> None:
     """Writes the float32 graph with every size dynamic."""
     names, output = list(network.inputs), network.output
-    example = random_inputs(names, 0, {"V": 48, "K1": 5, "K2": 9, "K3": 4, "J": 7, "P": 12})
+    example = random_inputs(names, 0, {"V": 48, "K1": 5, "K2": 9, "K3": 4, "J": 7, "P": 21})
     symbols = {n: {axis: d for axis, d in enumerate(SHAPES[n]) if isinstance(d, str)} for n in [*names, output]}
     torch.onnx.export(
         OneCharacter(folded(network)), tuple(torch.from_numpy(example[n]) for n in names), str(path), input_names=names,
@@ -131,28 +135,34 @@ def training_record(name: str, run: Path, record: dict) -> dict:
 
 def trained(name: str, joint_stage: bool) -> tuple[torch.nn.Module, Settings, dict | None]:
     """The network with the weights to ship, its settings and its training record (None: random weights)."""
-    run, fine_tuning = RUNS / name / "checkpoint.pt", RUNS / "rignet_joint_stage" / "checkpoint.pt"
-    if not run.exists():
-        settings = Settings(network=name)
+    part = {whole: part for part, whole in SkeletonStage.parts.items()}.get(name)
+    source = "rignet_skeleton_stage" if part else name
+    runs = [RUNS / source / "checkpoint.pt", *sorted(RUNS.glob(f"{source}_[0-9]/checkpoint.pt"))]
+    if not runs[0].exists():
+        settings = Settings(network=source)
         torch.manual_seed(settings.seed)
         return NETWORKS[name](settings.width, settings.normalisation).eval(), settings, None
-    network, record = averaged_network(run)
-    training = training_record(name, run, record)
-    further = sorted(RUNS.glob(f"{name}_[0-9]/checkpoint.pt"))
-    if further:
-        members = [averaged_network(path) for path in further]
-        network = Committee([network, *(member for member, _ in members)]).eval()
-        training["members"] = [training_record(name, path, own) for path, (_, own) in zip(further, members)]
-    part = {whole: part for part, whole in JointStage.parts.items()}.get(name)
-    if joint_stage and part:
-        both, tuning = averaged_network(fine_tuning)
-        network = getattr(both, part)
-        training["then"] = training_record("rignet_joint_stage", fine_tuning, tuning)
-    return network, record["settings"], training
+    members, records = zip(*(averaged_network(run) for run in runs))
+    if part:
+        members = [getattr(member, part) for member in members]
+    network = members[0] if len(members) == 1 else Committee(list(members)).eval()
+    training, *others = [training_record(source, run, record) for run, record in zip(runs, records)]
+    if others:
+        training["members"] = others
+    tuned = {whole: part for part, whole in JointStage.parts.items()}.get(name)
+    if joint_stage and tuned:
+        path = RUNS / "rignet_joint_stage" / "checkpoint.pt"
+        both, record = averaged_network(path)
+        network = getattr(both, tuned)
+        training["then"] = training_record("rignet_joint_stage", path, record)
+    return network, records[0]["settings"], training
 
 
-def export_one(name: str, joint_stage: bool) -> dict:
+def export_one(name: str, joint_stage: bool, untrained: bool) -> dict | None:
+    """Writes the file and returns its manifest entry; None where there is no run and random weights are not asked for."""
     network, settings, training = trained(name, joint_stage)
+    if training is None and not untrained:
+        return None
     path = ARTIFACTS / f"{name}.onnx"
     temporary = path.with_suffix(".tmp")
     to_onnx(network, temporary)
@@ -197,8 +207,9 @@ def main() -> None:
     manifest["licence"] = json.loads((HERE / "licence.json").read_text())
     manifest.setdefault("calibration", UNTUNED_CALIBRATION)
     for name in arguments.networks or NETWORKS:
-        if (RUNS / name / "checkpoint.pt").exists() or arguments.untrained:
-            manifest["networks"][name] = export_one(name, arguments.joint_stage)
+        entry = export_one(name, arguments.joint_stage, arguments.untrained)
+        if entry:
+            manifest["networks"][name] = entry
     total = sum(p.stat().st_size for p in ARTIFACTS.glob("*.onnx"))
     if total > FOLDER_BYTES_MAX:
         raise SystemExit(f"{total} bytes of models, more than {FOLDER_BYTES_MAX}")

@@ -40,6 +40,7 @@ def main() -> None:
     parser.add_argument("--normalisation", default=Settings.normalisation, choices=("layer", "batch"))
     parser.add_argument("--learning-rate", type=float, help="default: train/schedule.py")
     parser.add_argument("--characters-per-step", type=int, default=Settings.characters_per_step)
+    parser.add_argument("--real-share", type=float, default=Settings.real_share, help="of the draws; the others are generated characters")
     parser.add_argument("--seed", type=int, default=Settings.seed)
     parser.add_argument("--device", default="auto", help="auto, cpu or cuda")
     parser.add_argument("--threads", type=int, default=1)
@@ -57,6 +58,7 @@ def main() -> None:
         network=plan.network, width=arguments.width, normalisation=arguments.normalisation,
         steps=arguments.steps or plan.steps, learning_rate=arguments.learning_rate or plan.learning_rate,
         characters_per_step=arguments.characters_per_step, seed=arguments.seed,
+        real_share=arguments.real_share,
     )
     run = Run(RUNS / (arguments.name or plan.network), settings, device, arguments.resume)
     if run.path.exists() and not arguments.resume:

@@ -40,6 +40,9 @@ pub struct OptionArguments {
     /// RigNet's mean-shift bandwidth instead of --detail; larger means fewer joints.
     #[arg(long, value_name = "H")]
     bandwidth: Option<String>,
+    /// Fingers: auto keeps hands that have at least three, on keeps all joints that are found in hands, off none.
+    #[arg(long, value_name = "auto|on|off")]
+    fingers: Option<String>,
     #[command(flatten)]
     any_skeleton: AnySkeletonArguments,
 }
@@ -79,6 +82,7 @@ impl OptionArguments {
     pub fn read(&self, outputs: &[Output]) -> Result<RigOptions, Failure> {
         let mut given = self.any_skeleton.given();
         given.extend([("method", &self.method), ("detail", &self.detail), ("bandwidth", &self.bandwidth)]);
+        given.push(("fingers", &self.fingers));
         read_options(&given, outputs)
     }
 }

@@ -14,6 +14,7 @@ pub mod neighbor_table;
 pub mod orientation;
 pub mod place_hash;
 pub mod point_tree;
+pub mod self_intersection;
 mod solid_cells;
 pub mod stance;
 pub mod surface_geodesic;

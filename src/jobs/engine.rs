@@ -164,6 +164,7 @@ fn pipeline_options(method: Method, options: &RigOptions) -> pipelines::RigOptio
         method,
         level_of_detail: options.level_of_detail,
         symmetry: options.symmetry,
+        fingers: options.fingers,
         skin_method: options.skin_method.unwrap_or_default(),
         boxes: options.boxes == Boxes::Auto,
         rigid_boxes: options.boxes == Boxes::Auto && options.skin_method.is_none(),

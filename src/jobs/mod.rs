@@ -81,7 +81,7 @@ pub use ids::{AssetId, BatchId, JobId, NotAnId};
 pub use job::{ArtifactInfo, FileInfo, Job, JobRequest, JobResult, JobState, Notice};
 pub use looking::Denied;
 pub use options::{
-    Boxes, DEFAULT_DETAIL, DEFAULT_MAX_INFLUENCES, ExistingRigPolicy, FieldError, FieldProblem, LevelOfDetail,
+    Boxes, DEFAULT_DETAIL, DEFAULT_MAX_INFLUENCES, ExistingRigPolicy, FieldError, FieldProblem, Fingers, LevelOfDetail,
     OptionsReader, Output, RigOptions, Skeleton, SkinMethod, Symmetry,
 };
 pub use page::{NoPage, Page};

@@ -3,7 +3,7 @@
 pub use super::options_reader::{FieldError, FieldProblem, OptionsReader};
 pub use crate::formats::ExistingRigPolicy;
 use crate::formats::{Axis, rig_json};
-pub use crate::pipelines::{LevelOfDetail, Skeleton, SkinMethod, Symmetry};
+pub use crate::pipelines::{Fingers, LevelOfDetail, Skeleton, SkinMethod, Symmetry};
 use serde_json::Value;
 use std::sync::Arc;
 
@@ -17,6 +17,7 @@ pub struct RigOptions {
     pub method: Option<String>,
     pub level_of_detail: LevelOfDetail,
     pub symmetry: Symmetry,
+    pub fingers: Fingers,
     /// What weighs the vertices; `None`: the service chooses.
     pub skin_method: Option<SkinMethod>,
     /// What becomes of a character made of boxes.
@@ -40,6 +41,7 @@ impl Default for RigOptions {
             method: None,
             level_of_detail: LevelOfDetail::Detail(DEFAULT_DETAIL),
             symmetry: Symmetry::Auto,
+            fingers: Fingers::Auto,
             skin_method: None,
             boxes: Boxes::Auto,
             skeleton: None,
@@ -65,6 +67,7 @@ impl RigOptions {
             "detail": detail,
             "bandwidth": bandwidth,
             "symmetry": self.symmetry.name(),
+            "fingers": self.fingers.name(),
             "skin_method": skin_method_name(self.skin_method),
             "boxes": self.boxes.name(),
             "skeleton": self.skeleton.as_deref().map(rig_json::skeleton_json),
@@ -123,6 +126,11 @@ impl Words for Symmetry {
         &[("auto", Symmetry::Auto), ("on", Symmetry::On), ("off", Symmetry::Off)];
 }
 
+impl Words for Fingers {
+    const WORDS: &'static [(&'static str, Self)] =
+        &[("auto", Fingers::Auto), ("on", Fingers::On), ("off", Fingers::Off)];
+}
+
 impl Words for Boxes {
     const WORDS: &'static [(&'static str, Self)] = &[("auto", Boxes::Auto), ("off", Boxes::Off)];
 }
@@ -158,6 +166,12 @@ pub fn skin_method_name(method: Option<SkinMethod>) -> &'static str {
 }
 
 impl Symmetry {
+    pub fn name(self) -> &'static str {
+        self.word()
+    }
+}
+
+impl Fingers {
     pub fn name(self) -> &'static str {
         self.word()
     }

@@ -71,6 +71,7 @@ impl OptionsReader {
         "detail",
         "bandwidth",
         "symmetry",
+        "fingers",
         "skin_method",
         "boxes",
         "skeleton",
@@ -137,6 +138,7 @@ impl OptionsReader {
             "detail" => options.level_of_detail = LevelOfDetail::Detail(number(raw, DETAIL)?),
             "bandwidth" => options.level_of_detail = LevelOfDetail::Bandwidth(number(raw, BANDWIDTH)?),
             "symmetry" => options.symmetry = word(raw)?,
+            "fingers" => options.fingers = word(raw)?,
             "skin_method" => options.skin_method = word(raw)?,
             "boxes" => options.boxes = word(raw)?,
             "skeleton" => options.skeleton = Some(skeleton(raw)?),
@@ -248,7 +250,7 @@ fn outputs(raw: Raw) -> Result<Vec<Output>, String> {
 mod tests {
     use super::*;
     use crate::formats::ExistingRigPolicy;
-    use crate::jobs::options::Boxes;
+    use crate::jobs::options::{Boxes, Fingers};
     use crate::pipelines::{SkinMethod, Symmetry};
     use serde_json::json;
 
@@ -266,6 +268,7 @@ mod tests {
             ("method", "rignet", json!("rignet")),
             ("detail", "0.75", json!(0.75)),
             ("symmetry", "off", json!("off")),
+            ("fingers", "on", json!("on")),
             ("skin_method", "geodesic_voxel", json!("geodesic_voxel")),
             ("boxes", "off", json!("off")),
             ("skeleton", &file.to_string(), file.clone()),
@@ -285,6 +288,7 @@ mod tests {
             method: Some("rignet".to_owned()),
             level_of_detail: LevelOfDetail::Detail(0.75),
             symmetry: Symmetry::Off,
+            fingers: Fingers::On,
             skin_method: Some(SkinMethod::GeodesicVoxel),
             boxes: Boxes::Off,
             skeleton: Some(Arc::new(rig_json::read(file.to_string().as_bytes()).expect("reads").skeleton)),

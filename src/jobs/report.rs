@@ -38,6 +38,7 @@ pub fn facts(
             "symmetric": facts.symmetry_plane.is_some(),
             "given": options.skeleton.is_some(),
             "boxes": facts.boxes,
+            "fingers": facts.fingers,
         },
         "skin": {
             "vertices": rig.skin.rows.len(),

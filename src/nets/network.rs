@@ -11,6 +11,7 @@ use std::borrow::Cow;
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// A tensor handed to a network, borrowed, in standard (C) layout.
+#[derive(Clone)]
 pub enum Input<'a> {
     F32(ArrayViewD<'a, f32>),
     I64(ArrayViewD<'a, i64>),

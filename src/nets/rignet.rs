@@ -4,11 +4,12 @@
 //! |-------------------------|------------------------------------------------------------|---------------------------------|
 //! | [`RigNets::displaced`]  | shape graph                                                | `[V, 3]` points near joints, Eq. 1 |
 //! | [`RigNets::attention`]  | shape graph                                                | `[V]` in 0 to 1, Eq. 2          |
-//! | [`RigNets::bone_probability`] | shape graph, joints `[J, 3]`, pairs `[P, 2]`, length and inside share `[P, 2]` | `[P]` in 0 to 1, Eq. 7 |
-//! | [`RigNets::root`]       | shape graph, joints `[J, 3]`                               | index of the root joint, Eq. 8  |
+//! | [`RigNets::bone_probability`] | shape graph, [`JointPairs`]                          | `[P]` in 0 to 1, Eq. 7          |
+//! | [`RigNets::root`]       | shape graph, [`JointPairs`]                                | index of the root joint, Eq. 8  |
 //! | [`RigNets::skin_logits`] | shape graph, bone features `[V, 40]`, mask `[V, 5]`       | `[V, 5]` logits, Eq. 9          |
 //!
-//! All positions are in the normalised frame (y up, facing +z, longest side 1, x and z centred, lowest y 0).
+//! All positions are in the normalised frame (y up, facing +z, longest side 1, x and z centred, lowest y 0). A network is given those
+//! inputs that it has: published weights read no medial offsets, ours for bones and root read no neighbours.
 
 use super::error::NetError;
 use super::network::{Input, Network};
@@ -31,6 +32,16 @@ pub struct ShapeGraph {
     pub geodesic_ball: Array2<i64>,
 }
 
+/// Joints, and what the solid says of every two of them.
+pub struct JointPairs {
+    /// `[J, 3]`
+    pub joints: Array2<f32>,
+    /// `[P, 2]`: all pairs of joint indices i < j, in lexicographic order.
+    pub pairs: Array2<i64>,
+    /// `[P, 2]`: the length and the inside share of each pair's segment.
+    pub features: Array2<f32>,
+}
+
 /// The networks of RigNet, loaded and checked.
 pub struct RigNets {
     pub(super) displacement: Network,
@@ -47,35 +58,29 @@ impl RigNets {
 
     /// Vertices moved toward the joints that drive them: positions + displacement, `[V, 3]`.
     pub fn displaced(&self, graph: &ShapeGraph, cancellation: &Cancellation) -> Result<Array2<f32>, NetError> {
-        let displacement = self.displacement.run(&graph.inputs_of(&self.displacement), "displacement", cancellation)?;
+        let displacement =
+            self.displacement.run(&wanted(&self.displacement, graph.inputs()), "displacement", cancellation)?;
         let displacement = shaped::<Ix2>(&self.displacement, displacement, &[graph.vertex_count(), 3])?;
         Ok(&graph.positions + &displacement)
     }
 
     /// How much each vertex says about joints, `[V]`, 0 to 1.
     pub fn attention(&self, graph: &ShapeGraph, cancellation: &Cancellation) -> Result<Vec<f32>, NetError> {
-        let logits = self.attention.run(&graph.inputs_of(&self.attention), "attention_logit", cancellation)?;
+        let logits = self.attention.run(&wanted(&self.attention, graph.inputs()), "attention_logit", cancellation)?;
         let logits = shaped::<Ix1>(&self.attention, logits, &[graph.vertex_count()])?;
         Ok(logits.iter().map(|&logit| sigmoid(logit)).collect())
     }
 
     /// The probability that each pair of joints is a bone, `[P]`.
-    ///
-    /// `pairs` `[P, 2]` holds joint indices, `pair_features` `[P, 2]` the length and the inside share of the segment.
     pub fn bone_probability(
         &self,
         graph: &ShapeGraph,
-        joints: ArrayView2<f32>,
-        pairs: ArrayView2<i64>,
-        pair_features: ArrayView2<f32>,
+        joints: &JointPairs,
         cancellation: &Cancellation,
     ) -> Result<Vec<f32>, NetError> {
-        let mut inputs = graph.inputs();
-        inputs.push(("joints", Input::F32(joints.into_dyn())));
-        inputs.push(("pairs", Input::I64(pairs.into_dyn())));
-        inputs.push(("pair_features", Input::F32(pair_features.into_dyn())));
+        let inputs = wanted(&self.bone, [graph.inputs(), joints.inputs()].concat());
         let logits = self.bone.run(&inputs, "bone_logit", cancellation)?;
-        let logits = shaped::<Ix1>(&self.bone, logits, &[pairs.len_of(Axis(0))])?;
+        let logits = shaped::<Ix1>(&self.bone, logits, &[joints.pairs.len_of(Axis(0))])?;
         Ok(logits.iter().map(|&logit| sigmoid(logit)).collect())
     }
 
@@ -83,13 +88,12 @@ impl RigNets {
     pub fn root(
         &self,
         graph: &ShapeGraph,
-        joints: ArrayView2<f32>,
+        joints: &JointPairs,
         cancellation: &Cancellation,
     ) -> Result<usize, NetError> {
-        let mut inputs = graph.inputs();
-        inputs.push(("joints", Input::F32(joints.into_dyn())));
+        let inputs = wanted(&self.root, [graph.inputs(), joints.inputs()].concat());
         let logits = self.root.run(&inputs, "root_logit", cancellation)?;
-        let logits = shaped::<Ix1>(&self.root, logits, &[joints.len_of(Axis(0))])?;
+        let logits = shaped::<Ix1>(&self.root, logits, &[joints.joints.len_of(Axis(0))])?;
         // The first of equal maxima, so that the choice does not depend on iteration order.
         let best = logits.iter().enumerate().fold(
             (0, f32::MIN),
@@ -108,7 +112,7 @@ impl RigNets {
         bone_mask: ArrayView2<f32>,
         cancellation: &Cancellation,
     ) -> Result<Array2<f32>, NetError> {
-        let mut inputs = graph.inputs();
+        let mut inputs = wanted(&self.skin, graph.inputs());
         inputs.push(("bone_features", Input::F32(bone_features.into_dyn())));
         inputs.push(("bone_mask", Input::F32(bone_mask.into_dyn())));
         let logits = self.skin.run(&inputs, "skin_logit", cancellation)?;
@@ -126,22 +130,30 @@ impl ShapeGraph {
         self.positions.len_of(Axis(0))
     }
 
-    /// Positions and neighbours, and the medial offsets for a network that reads them: published weights do not.
-    fn inputs_of(&self, network: &Network) -> Vec<(&'static str, Input<'_>)> {
-        let mut inputs = self.inputs();
-        if network.input_names().iter().any(|name| name == "medial_offsets") {
-            inputs.push(("medial_offsets", Input::F32(self.medial_offsets.view().into_dyn())));
-        }
-        inputs
-    }
-
     fn inputs(&self) -> Vec<(&'static str, Input<'_>)> {
         vec![
             ("positions", Input::F32(self.positions.view().into_dyn())),
             ("one_ring", Input::I64(self.one_ring.view().into_dyn())),
             ("geodesic_ball", Input::I64(self.geodesic_ball.view().into_dyn())),
+            ("medial_offsets", Input::F32(self.medial_offsets.view().into_dyn())),
         ]
     }
+}
+
+impl JointPairs {
+    fn inputs(&self) -> Vec<(&'static str, Input<'_>)> {
+        vec![
+            ("joints", Input::F32(self.joints.view().into_dyn())),
+            ("pairs", Input::I64(self.pairs.view().into_dyn())),
+            ("pair_features", Input::F32(self.features.view().into_dyn())),
+        ]
+    }
+}
+
+/// Those of `inputs` that `network` has.
+fn wanted<'a>(network: &Network, mut inputs: Vec<(&'static str, Input<'a>)>) -> Vec<(&'static str, Input<'a>)> {
+    inputs.retain(|(name, _)| network.input_names().iter().any(|known| known == name));
+    inputs
 }
 
 fn sigmoid(logit: f32) -> f32 {

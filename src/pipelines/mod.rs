@@ -15,6 +15,7 @@ use crate::mesh::Mesh;
 pub use crate::nets::{LoadOptions, Models, NetError};
 use crate::rig::detect_joints::DetectJointsError;
 pub use crate::rig::detect_joints::Fineness as LevelOfDetail;
+pub use crate::rig::hands::Fingers;
 pub use crate::rig::verdict::{Quality, Verdict};
 pub use crate::rig::{Rig, Skeleton};
 use glam::{DMat3, DVec3};
@@ -121,6 +122,8 @@ pub struct RigOptions {
     pub method: Method,
     pub level_of_detail: LevelOfDetail,
     pub symmetry: Symmetry,
+    /// Which fingers of a predicted skeleton stay.
+    pub fingers: Fingers,
     pub skin_method: SkinMethod,
     /// Whether a character made of boxes gets its joints from them,
     pub boxes: bool,
@@ -138,6 +141,7 @@ impl Default for RigOptions {
             method: Method::RigNet,
             level_of_detail: LevelOfDetail::Detail(0.5),
             symmetry: Symmetry::Auto,
+            fingers: Fingers::Auto,
             skin_method: SkinMethod::default(),
             boxes: true,
             rigid_boxes: true,
@@ -194,6 +198,8 @@ pub struct Facts {
     pub bandwidth: Option<f64>,
     /// The number of boxes, where the character is made of them and this was made use of.
     pub boxes: Option<usize>,
+    /// Fingers of the predicted skeleton; 0 for one that was given.
+    pub fingers: usize,
     /// Whether every box moves as a whole.
     pub is_rigid: bool,
     /// Share of joints inside the solid.

@@ -8,8 +8,9 @@ use super::skin::{SkinNets, judged, weigh};
 use super::{Facts, RigError, RigOptions, Rigged, Stage, Subject, Symmetry, Watch};
 use crate::geometry::symmetry_plane::SymmetryPlane;
 use crate::geometry::transfer::transfer_map;
-use crate::nets::rignet::{RigNets, ShapeGraph};
+use crate::nets::rignet::{JointPairs, RigNets, ShapeGraph};
 use crate::rig::detect_joints::{DetectedJoints, Evidence, detect_joints};
+use crate::rig::hands::with_fingers;
 use crate::rig::spanning_tree::{BoneCosts, OutsideRule, Tree, minimum_spanning_tree, symmetric_spanning_tree};
 use crate::rig::{Rig, Skeleton};
 use glam::DVec3;
@@ -35,14 +36,16 @@ pub(super) fn rig(
     let boxes = options.boxes.then(|| Boxes::of(&subject)).flatten();
     let of_boxes = boxes.as_ref().and_then(|boxes| Some((boxes, boxes.skeleton(options.level_of_detail)?)));
 
-    let (skeleton, graph, bandwidth) = match &of_boxes {
-        Some((_, made)) => (made.skeleton.clone(), None, None),
+    let (skeleton, fingers, graph, bandwidth) = match &of_boxes {
+        Some((_, made)) => (made.skeleton.clone(), 0, None, None),
         None => {
             let graph = shape.graph(options.seed);
             watch.enter(Stage::Joints)?;
             let detected = find_joints(&shape, &graph, nets, plane.as_ref(), options, watch)?;
             watch.enter(Stage::Connect)?;
-            (connect(&shape, &graph, nets, &detected, watch)?, Some(graph), Some(detected.bandwidth))
+            let connected = connect(&shape, &graph, nets, &detected, watch)?;
+            let (skeleton, fingers) = with_fingers(connected, options.fingers);
+            (skeleton, fingers, Some(graph), Some(detected.bandwidth))
         }
     };
 
@@ -67,6 +70,7 @@ pub(super) fn rig(
         symmetry_plane: plane.map(|plane| subject.plane_in_upload(&plane)),
         symmetry_score: shape.symmetry.score,
         bandwidth,
+        fingers,
         boxes: of_boxes.map(|(boxes, _)| boxes.count()),
         is_rigid,
         joints_inside: quality.joints_inside,
@@ -137,15 +141,16 @@ fn connect(
 ) -> Result<Skeleton, RigError> {
     let joints = &detected.positions;
     let (pairs, segments) = shape.bone_pairs(joints);
-    let joint_array = points_f32(joints);
-    let pair_array = Array2::from_shape_fn((pairs.len(), 2), |(pair, end)| pairs[pair][end] as i64);
-    let features = Array2::from_shape_fn((pairs.len(), 2), |(pair, channel)| match channel {
-        0 => segments[pair].length as f32,
-        _ => segments[pair].inside_share() as f32,
-    });
-    let probability =
-        nets.bone_probability(graph, joint_array.view(), pair_array.view(), features.view(), watch.cancellation)?;
-    let root = nets.root(graph, joint_array.view(), watch.cancellation)?;
+    let described = JointPairs {
+        joints: points_f32(joints),
+        pairs: Array2::from_shape_fn((pairs.len(), 2), |(pair, end)| pairs[pair][end] as i64),
+        features: Array2::from_shape_fn((pairs.len(), 2), |(pair, channel)| match channel {
+            0 => segments[pair].length as f32,
+            _ => segments[pair].inside_share() as f32,
+        }),
+    };
+    let probability = nets.bone_probability(graph, &described, watch.cancellation)?;
+    let root = nets.root(graph, &described, watch.cancellation)?;
     let probability: Vec<f64> = probability.into_iter().map(f64::from).collect();
     let outside: Vec<usize> = segments.iter().map(|segment| segment.outside_count).collect();
     let mut costs = BoneCosts::from_probabilities(joints.len(), &pairs, &probability);

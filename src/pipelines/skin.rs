@@ -69,6 +69,7 @@ pub(super) fn skin(
         symmetry_plane: plane.map(|plane| subject.plane_in_upload(plane)),
         symmetry_score: shape.symmetry.score,
         bandwidth: None,
+        fingers: 0,
         is_rigid: boxes.is_some(),
         boxes: boxes.as_ref().map(Boxes::count),
         joints_inside: quality.joints_inside,

@@ -1,6 +1,7 @@
 //! What can be told of a mesh without running a network: soundness, symmetry, stance, and what rigging it will cost.
 
 use crate::geometry::bvh::Bvh;
+use crate::geometry::self_intersection::self_intersecting;
 use crate::geometry::stance::{Stance, stance};
 use crate::geometry::surface_samples::SurfaceSamples;
 use crate::geometry::symmetry_plane::{SymmetryPlane, detect_symmetry_plane};
@@ -21,6 +22,8 @@ pub struct Survey {
     pub nonmanifold_edges: usize,
     /// Faces without an area, or listed twice.
     pub degenerate_faces: usize,
+    /// Whether the surface passes through itself; `None` where there are too many faces to tell in time.
+    pub self_intersecting: Option<bool>,
     /// Extent along the up axis, in upload units.
     pub height: f64,
     /// Unit normal and a point of the best vertical mirror plane, in upload space,
@@ -42,7 +45,8 @@ pub fn survey(mesh: &Mesh, to_upright: DMat3) -> Option<Survey> {
     let normalised = normalised(mesh, &normalization);
     let working = WorkingMesh::new(&normalised).ok()?;
     let (low, high) = normalised.bounding_box()?;
-    let edges = edge_statistics(&working.welded.mesh);
+    let welded = &working.welded.mesh;
+    let edges = edge_statistics(welded);
     let samples = SurfaceSamples::new(&working.mesh, SAMPLES);
     let symmetry = detect_symmetry_plane(&samples, &Bvh::new(&working.mesh));
     let (seconds, memory_mib) = estimate(working.mesh.positions.len(), mesh.triangles.len());
@@ -50,6 +54,7 @@ pub fn survey(mesh: &Mesh, to_upright: DMat3) -> Option<Survey> {
         components: working.component_of_welded.iter().max().map_or(0, |&last| last as usize + 1),
         boundary_edges: edges.boundary,
         nonmanifold_edges: edges.non_manifold,
+        self_intersecting: self_intersecting(welded, &Bvh::new(welded)),
         degenerate_faces: mesh.triangles.len() - working.welded.mesh.triangles.len(),
         height: (high.y - low.y) / normalization.scale,
         symmetry_plane: plane_in_upload(&symmetry, &normalization),

@@ -4,6 +4,7 @@
 //! |---------------------------------------|-------------------------------------------------------------------|
 //! | displaced points → joints             | [`detect_joints`], made of [`joint_clustering`], [`non_maximum_suppression`], [`symmetrize`] |
 //! | joints → tree → skeleton, bones       | [`spanning_tree`], [`skeleton`]                                   |
+//! | skeleton without stray joints in hands | [`hands`]                                                          |
 //! | boxes → skeleton, weights             | [`box_skeleton`], for characters made of them                     |
 //! | bone distances → what the networks read | [`bone_features`], [`heter_graph`]                             |
 //! | logits or distances → weights         | [`bone_weights`], [`distance_falloff`], [`heat_weights`], [`skin_weights`] |
@@ -18,6 +19,7 @@ mod cell_grid;
 pub mod detect_joints;
 pub mod distance_falloff;
 pub mod forward_kinematics;
+pub mod hands;
 pub mod heat_weights;
 pub mod heter_graph;
 pub mod joint_clustering;

@@ -42,6 +42,25 @@ impl Skeleton {
         Self { joints: joints.collect() }
     }
 
+    /// The same without some joints and all that is below them; the others are named anew by their places.
+    pub fn without(&self, gone: &[usize]) -> Self {
+        if gone.is_empty() {
+            return self.clone();
+        }
+        let mut place: Vec<Option<usize>> = Vec::with_capacity(self.joints.len());
+        let mut joints: Vec<Joint> = Vec::with_capacity(self.joints.len());
+        for (index, joint) in self.joints.iter().enumerate() {
+            let parent = joint.parent.map(|parent| place[parent]);
+            if gone.contains(&index) || parent == Some(None) {
+                place.push(None);
+                continue;
+            }
+            place.push(Some(joints.len()));
+            joints.push(Joint { name: joint_name(joints.len()), parent: parent.flatten(), position: joint.position });
+        }
+        Self { joints }
+    }
+
     /// Joints on the longest way from the root to a leaf; 0 without joints.
     pub fn depth(&self) -> usize {
         let mut depths: Vec<usize> = Vec::with_capacity(self.joints.len());

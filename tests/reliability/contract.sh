@@ -19,7 +19,7 @@ for _ in $(seq 300); do
     sleep 0.1
 done
 [ -n "$HOST" ] || { echo "the service did not start:"; cat "$FOLDER/log"; exit 1; }
-"$SCHEMATHESIS" run "$HOST/v1/openapi.json" --phases examples,coverage,fuzzing --max-examples "$CASES" --seed 1 \
+SCHEMATHESIS_HOOKS=tests/reliability/contract_hooks.py "$SCHEMATHESIS" run "$HOST/v1/openapi.json" --phases examples,coverage,fuzzing --max-examples "$CASES" --seed 1 \
     --checks not_a_server_error,status_code_conformance,content_type_conformance,response_schema_conformance \
     --suppress-health-check all --continue-on-failure --request-timeout 90 --no-color
 kill -0 $SERVICE || { echo "the service is gone"; exit 1; }

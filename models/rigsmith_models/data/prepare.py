@@ -3,6 +3,8 @@
     python -m rigsmith_models.data.prepare shard DATA/rigs/train.npz -o CACHE/train.npz --rigsmith target/release/rigsmith
     python -m rigsmith_models.data.prepare synthetic --first-seed 1000 --count 200 -o CACHE/synthetic0.npz --rigsmith ...
 
+    ... shard ... --predicted [--bandwidth 0.036]       characters with the joints that the service finds, for bone and root
+
 Neighbour tables, inside shares and bone distances come from ``rigsmith features``: the code that the service runs, so
 that training and service cannot drift apart. Rays (tolerance, attention mask) are ours alone, see ``targets.py``.
 """
@@ -17,8 +19,10 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ..evaluation.program import Program
 from . import augment, targets
 from .character import Character, write_cache
+from .predicted import with_joints
 from .shards import Rig, RigShard
 
 WORKING_VERTICES = 1100
@@ -118,16 +122,21 @@ def variant(rig: Rig, rng: np.random.Generator) -> Rig:
     return Rig(character.positions, faces, joints.astype(np.float32), parents, weights, rig.meta)
 
 
-def shard_rigs(path: Path, count: int | None) -> list[Rig]:
-    """The first ``count`` rigs, decimated, with their draw weight in ``meta``."""
+def shard_rigs(path: Path, count: int | None, program: Program | None = None) -> list[Rig]:
+    """The first ``count`` rigs, decimated, with their draw weight in ``meta``; with a ``program``, those that
+    are not made of boxes, with the joints that it finds in place of the artist's."""
     shard = RigShard(path)
     chosen = range(min(count or len(shard), len(shard)))
     families = Counter(shard.metas[k]["family"] for k in chosen)
     rigs = []
     for k in chosen:
+        if program and shard.metas[k]["style"] == "box":
+            continue
         rig = decimated(shard[k], np.random.default_rng([11, k]))
         meta = {key: rig.meta[key] for key in ("id", "name", "source", "license", "family", "category", "style")}
         family_weight = min(1.0, FAMILY_WEIGHT_MAX / families[meta["family"]])
+        if program:
+            rig = with_joints(rig, program.rig(shard[k].vertices.astype(float), shard[k].faces).joints)
         weight = STYLE_WEIGHT.get(meta["style"], family_weight)
         rigs.append(Rig(rig.vertices, without_flat_faces(rig.faces, rig.vertices), rig.joints, rig.parents, rig.weights,
                         {**meta, "draw_weight": weight}))
@@ -152,6 +161,7 @@ def main() -> None:
     shard = kinds.add_parser("shard")
     shard.add_argument("shard", type=Path)
     shard.add_argument("--count", type=int, help="only the first so many")
+    shard.add_argument("--predicted", nargs="*", metavar="OPTION", help="joints as the program predicts them, with these options of it")
     synthetic = kinds.add_parser("synthetic")
     synthetic.add_argument("--first-seed", type=int, required=True)
     synthetic.add_argument("--count", type=int, required=True)
@@ -162,7 +172,8 @@ def main() -> None:
     arguments = parser.parse_args()
 
     if arguments.kind == "shard":
-        rigs = shard_rigs(arguments.shard, arguments.count)
+        program = None if arguments.predicted is None else Program(arguments.rigsmith, arguments.predicted)
+        rigs = shard_rigs(arguments.shard, arguments.count, program)
     else:
         rigs = synthetic_rigs(arguments.first_seed, arguments.count)
     if arguments.variants:

@@ -8,9 +8,7 @@ import torch
 from . import augment
 from .character import Character, read_cache
 
-REAL_SHARE = 0.5
-REAL_SHARE_LAST = 0.75  # in the last fifth of the steps
-LAST_PART = 0.8
+LAST_PART = 0.8  # after this share of the steps half of the generated draws go to real characters
 ONE_RING_MAX = 4
 BALL_MAX = 8
 VERTEX_COUNTS = (384, 512, 768)
@@ -42,8 +40,9 @@ class Pool:
             weight[~self.real] *= (1 - real_share) / weight[~self.real].sum()
         return weight / weight.sum()
 
-    def draw(self, count: int, progress: float, rng: np.random.Generator) -> list[Character]:
-        real_share = REAL_SHARE if progress < LAST_PART else REAL_SHARE_LAST
+    def draw(self, count: int, progress: float, rng: np.random.Generator, real_share: float) -> list[Character]:
+        if progress >= LAST_PART:
+            real_share = 0.5 * (1 + real_share)
         chosen = rng.choice(len(self.characters), count, replace=False, p=self.probabilities(real_share))
         return [self.characters[k] for k in chosen]
 

@@ -130,7 +130,8 @@ def tree_and_root(character, networks: dict[str, stages.Network]) -> tuple[dict,
         "rigsmith": {"tree_edit": bone["edit_distance"], "bones_found": bone["bones_found"]},
         "shortest_tree": {"tree_edit": bone["edit_distance_baseline"], "bones_found": bone["bones_found_baseline"]},
     }
-    return tree, {"rigsmith": {"accuracy": root["accuracy"]}, "central_joint": {"accuracy": root["accuracy_baseline"]}}
+    return tree, {
+        who: {name: root[name + suffix] for name in ("accuracy", "near")} for who, suffix in (("rigsmith", ""), ("central_joint", "_baseline"))}
 
 
 def skin_figures(vertices, joints, parents, weights, reference) -> dict[str, float]:

@@ -22,7 +22,7 @@ FIGURES = {
         ("tree_edit", "tree edit", 1, 1, True),
     ),
     "tree": (("tree_edit", "tree edit", 1, 2, True), ("bones_found", "bones found", 1, 3, False)),
-    "root": (("accuracy", "accuracy", 1, 3, False),),
+    "root": (("accuracy", "accuracy", 1, 3, False), ("near", "within .05", 1, 3, False)),
     "skin": (
         ("l1", "L1", 1, 3, True), ("precision", "precision", 1, 3, False), ("recall", "recall", 1, 3, False),
         ("posed_mean", "posed mean %", 100, 2, True), ("posed_max", "posed max %", 100, 2, True),

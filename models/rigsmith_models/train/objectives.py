@@ -4,12 +4,13 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 
-from ..data.bones import bone_features, candidate_pairs, is_bone, nearest_bones, weights_of_nearest_bones
+from ..data.bones import bone_features, candidate_pairs, nearest_bones, weights_of_nearest_bones
 from ..data.heter_graph import LINK_INPUTS, heter_graph
 from ..data.sampling import padded_joints, shape_batch
 from ..rignet.skin import BONES_PER_VERTEX
 from .joint_stage import BANDWIDTH_LIMITS, mean_shift_states
 
+NEVER = -1e4  # the logit of what is no choice
 FAR = 1e3  # longer than any distance in the normalised frame
 JOINT_JITTER = 0.01  # predicted joints are about so far off
 EDIT_PROBABILITY = 0.2  # of dropping a joint, and of inserting one on a bone
@@ -115,75 +116,49 @@ def edited_skeleton(joints, parents, inside_share, rng):
     return joints, parents, share
 
 
-class BoneObjective:
-    """Binary cross-entropy over all pairs of joints, the mean of its hardest 30% (online hard example mining), and a ranking.
+class SkeletonObjective:
+    """Bones: binary cross-entropy over all pairs of joints, the mean of its hardest 30% (online hard example mining), and a
+    ranking. Root: cross-entropy of a softmax over the joints of each character.
 
     The ranking is ours: the tree compares bones that compete for a joint, so for every joint a softmax over all its pairs
     is held against its true bones.
     """
 
     def batch(self, characters, progress, rng, device):
-        batch = shape_batch(characters, rng, device, pose=False)
-        edited = [edited_skeleton(j, c.parents, c.inside_share, rng) for j, c in zip(batch["joints"], characters)]
-        batch["joints"], _ = padded_joints([joints for joints, _, _ in edited], device)
+        batch = shape_batch(characters, rng, device)
+        edited = []
+        for joints, character in zip(batch["joints"], characters):
+            parents, inside = character.parents.astype(int), character.inside_share
+            for _ in range(1 + int(rng.random() < EDIT_PROBABILITY)):
+                joints, parents, share = edited_skeleton(joints, parents, inside, rng)
+                inside = share[tuple(candidate_pairs(len(joints)).T)]
+            edited.append((joints, parents, np.clip(share + rng.normal(0, SHARE_JITTER, share.shape), 0, 1)))
+        batch["joints"], batch["valid"] = padded_joints([joints for joints, _, _ in edited], device)
         slots = batch["joints"].shape[1]
-        most = slots * (slots - 1) // 2
-        pairs, features, target, valid = (np.zeros((len(edited), most, *tail), kind) for tail, kind in (
-            ((2,), np.int64), ((2,), np.float32), ((), np.float32), ((), bool)))
-        for graph, (joints, parents, share) in enumerate(edited):
-            own = candidate_pairs(len(joints))
-            count, start, end = len(own), own[:, 0], own[:, 1]
-            length = np.linalg.norm(joints[start] - joints[end], axis=1)
-            inside = np.clip(share[start, end] + rng.normal(0, SHARE_JITTER, count), 0, 1)
-            pairs[graph] = graph * slots
-            pairs[graph, :count] += own
-            features[graph, :count] = np.stack([length, inside], axis=1)
-            target[graph, :count], valid[graph, :count] = is_bone(parents, own), True
-        for name, value in (("pairs", pairs.reshape(-1, 2)), ("pair_features", features.reshape(-1, 2)),
-                            ("target", target.reshape(-1)), ("valid", valid.reshape(-1))):
-            batch[name] = torch.from_numpy(value).to(device)
-        return batch
-
-    def loss(self, network, batch) -> torch.Tensor:
-        logit = network(*shape_of(batch)[:3], batch["joints"].reshape(-1, 3), batch["pairs"], batch["pair_features"],
-                        batch["graph_count"]).float()
-        each = F.binary_cross_entropy_with_logits(logit, batch["target"], reduction="none")[batch["valid"]]
-        hardest = each.topk(int(HARDEST_SHARE * len(each)) + 1).values.mean()
-        return each.mean() + hardest + self.ranking(logit, batch)
-
-    def ranking(self, logit, batch) -> torch.Tensor:
-        """Mean over joints of the cross-entropy between its true bones, equal shares, and the softmax over its pairs."""
-        joint_count = batch["joints"].shape[0] * batch["joints"].shape[1]
-        pairs, valid = batch["pairs"][batch["valid"]], batch["valid"]
-        both = torch.cat([pairs, pairs.flip(1)])
-        shape = (joint_count, batch["joints"].shape[1])
-        column = both[:, 1] % shape[1]
-        scores = torch.full(shape, -1e4, device=logit.device).index_put((both[:, 0], column), logit[valid].repeat(2))
-        truth = torch.zeros(shape, device=logit.device).index_put((both[:, 0], column), batch["target"][valid].repeat(2))
-        degree = truth.sum(1)
-        taught = degree > 0
-        share = truth[taught] / degree[taught].unsqueeze(1)
-        return -(share * F.log_softmax(scores[taught], dim=1)).sum(1).mean()
-
-
-class RootObjective:
-    """Cross-entropy of a softmax over the joints of each character."""
-
-    def batch(self, characters, progress, rng, device):
-        batch = shape_batch(characters, rng, device, pose=False)
-        joints, roots = [], []
-        for own, character in zip(batch["joints"], characters):
-            edited, parents, _ = edited_skeleton(own, character.parents, np.zeros(len(candidate_pairs(len(own)))), rng)
-            joints.append(edited)
-            roots.append(int(np.flatnonzero(parents < 0)[0]))
-        batch["joints"], batch["valid"] = padded_joints(joints, device)
+        shares, truth = np.zeros((2, len(edited), slots, slots), np.float32)
+        for graph, (_, parents, share) in enumerate(edited):
+            shares[graph, : len(parents), : len(parents)] = 0.5 * (share + share.T)
+            child = np.flatnonzero(parents >= 0)
+            truth[graph, child, parents[child]] = truth[graph, parents[child], child] = 1
+        batch["inside_share"], batch["bones"] = torch.from_numpy(shares).to(device), torch.from_numpy(truth).to(device)
+        roots = [int(np.flatnonzero(parents < 0)[0]) for _, parents, _ in edited]
         batch["root"] = torch.tensor(roots, device=device)
         return batch
 
     def loss(self, network, batch) -> torch.Tensor:
-        logit = network(*shape_of(batch)[:3], batch["joints"].reshape(-1, 3), batch["graph_count"]).float()
-        logit = logit.reshape(batch["graph_count"], -1).masked_fill(~batch["valid"], -1e4)
-        return F.cross_entropy(logit, batch["root"])
+        joints, valid, truth = batch["joints"], batch["valid"], batch["bones"]
+        positions = batch["positions"].reshape(batch["graph_count"], -1, 3)
+        bone, root = network(positions, joints, batch["inside_share"], valid)
+        bone, root = bone.float(), root.float().masked_fill(~valid, NEVER)
+        distinct = ~torch.eye(joints.shape[1], dtype=torch.bool, device=joints.device)
+        pairs = valid.unsqueeze(2) & valid.unsqueeze(1) & distinct
+        each = F.binary_cross_entropy_with_logits(bone, truth, reduction="none")[pairs]
+        hardest = each.topk(int(HARDEST_SHARE * len(each)) + 1).values.mean()
+        degree = truth.sum(2)
+        taught = degree > 0
+        share = truth[taught] / degree[taught].unsqueeze(1)
+        ranking = -(share * F.log_softmax(bone.masked_fill(~pairs, NEVER)[taught], dim=1)).sum(1).mean()
+        return each.mean() + hardest + ranking + F.cross_entropy(root, batch["root"])
 
 
 class SkinObjective:
@@ -267,8 +242,7 @@ def body_of(batch: dict) -> tuple:
 OBJECTIVES = {
     "rignet_displacement": DisplacementObjective,
     "rignet_attention": AttentionObjective,
-    "rignet_bone": BoneObjective,
-    "rignet_root": RootObjective,
+    "rignet_skeleton_stage": SkeletonObjective,
     "rignet_skin": SkinObjective,
     "rignet_joint_stage": JointStageObjective,
     "heter_skin_net": HeterSkinObjective,

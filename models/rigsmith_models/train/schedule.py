@@ -14,14 +14,13 @@ class Plan:
     after: tuple[str, ...] = ()  # networks that must be finished first
 
 
-# What the shipped files had, or for bone, root and RigNet's skin what is due (TRAINING.md); about 90 CPU minutes of one core.
+# What the shipped files had, or for RigNet's skin what is due (TRAINING.md); about 90 CPU minutes of one core.
 PLANS = {
     plan.network: plan
     for plan in (
         Plan("rignet_displacement", steps=6000, learning_rate=2e-3, share=45.0),
         Plan("rignet_attention", steps=4000, learning_rate=2e-3, share=18.0),
-        Plan("rignet_bone", steps=1500, learning_rate=1e-3, share=12.0),
-        Plan("rignet_root", steps=2000, learning_rate=1e-3, share=6.0),
+        Plan("rignet_skeleton_stage", steps=4000, learning_rate=2e-3, share=24.0),
         Plan("rignet_skin", steps=3000, learning_rate=1e-3, share=24.0),
         Plan("heter_skin_net", steps=8000, learning_rate=1e-3, share=24.0),
         Plan("rignet_joint_stage", steps=900, learning_rate=2e-4, share=20.0, after=("rignet_displacement", "rignet_attention")),

@@ -20,8 +20,11 @@ from ..layers import EdgeConv
 from ..networks import NETWORKS
 from .joint_stage import JointStage
 from .objectives import OBJECTIVES
+from .skeleton_stage import SkeletonStage
 
-TRAINED = {**NETWORKS, "rignet_joint_stage": JointStage}
+STAGES = {"rignet_joint_stage": JointStage, "rignet_skeleton_stage": SkeletonStage}
+# What is trained by itself: every network but those that only a stage trains, and the stages.
+TRAINED = {**{name: network for name, network in NETWORKS.items() if name not in SkeletonStage.parts.values()}, **STAGES}
 
 CHECKPOINT_SECONDS = 60.0
 LOG_STEPS = 50
@@ -42,6 +45,7 @@ class Settings:
     gradient_norm_max: float = 1.0
     average_decay: float = 0.998  # of the exponential moving average of the weights, which is what is evaluated and shipped
     seed: int = 7
+    real_share: float = 0.5  # of the draws; the others are generated characters, half as many in the last part of the run
     mixed_precision: bool = True
 
     def rate(self, step: int) -> float:
@@ -104,7 +108,7 @@ class Run:
         rng = np.random.default_rng([settings.seed, self.step])
         torch.manual_seed(settings.seed * 1_000_003 + self.step)  # dropout
         progress = self.step / settings.steps
-        characters = pool.draw(settings.characters_per_step, progress, rng)
+        characters = pool.draw(settings.characters_per_step, progress, rng, settings.real_share)
         batch = self.objective.batch(characters, progress, rng, self.device)
         for group in self.optimiser.param_groups:
             group["lr"] = settings.rate(self.step)

@@ -115,7 +115,7 @@ fn provenance(job: &Job, result: Option<&JobResult>) -> Provenance {
 impl From<RequestView> for RigOptions {
     fn from(request: RequestView) -> Self {
         let RequestView { options, wishes } = request;
-        let OptionsView { method, detail, bandwidth, symmetry, skin_method, boxes, skeleton, .. } = options;
+        let OptionsView { method, detail, bandwidth, symmetry, fingers, skin_method, boxes, skeleton, .. } = options;
         let WishesView { priority, timeout_seconds, retention_hours, labels } = wishes;
         let text = |word: &str| Some(word.to_owned());
         Self {
@@ -123,6 +123,7 @@ impl From<RequestView> for RigOptions {
             detail,
             bandwidth,
             symmetry: text(symmetry),
+            fingers: text(fingers),
             skin_method: text(skin_method),
             boxes: text(boxes),
             skeleton,

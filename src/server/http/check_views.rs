@@ -97,6 +97,10 @@ pub struct MeshView {
     /// Faces without an area, or listed twice.
     #[schema(example = 0)]
     pub degenerate_faces: Option<usize>,
+    /// Whether the surface passes through itself, as clothes that sink into a body do; `null` where there are too many faces to
+    /// tell in time.
+    #[schema(example = false)]
+    pub self_intersecting: Option<bool>,
     /// Extent along the up axis, in the file's unit.
     #[schema(example = 1.8)]
     pub height: Option<f64>,
@@ -176,6 +180,7 @@ impl From<&Check> for MeshView {
             boundary_edges: survey.map(|survey| survey.boundary_edges),
             nonmanifold_edges: survey.map(|survey| survey.nonmanifold_edges),
             degenerate_faces: survey.map(|survey| survey.degenerate_faces),
+            self_intersecting: survey.and_then(|survey| survey.self_intersecting),
             height: survey.map(|survey| survey.height),
         }
     }

@@ -3,7 +3,7 @@
 //! Defaults stand in the texts alone: generated clients send a parameter that has a `default` always, and then it contradicts
 //! the same field of the body.
 
-use super::words::{BoxesName, ExistingRigName, OutputName, PriorityName, SkinMethodName, SymmetryName};
+use super::words::{BoxesName, ExistingRigName, FingersName, OutputName, PriorityName, SkinMethodName, SymmetryName};
 use crate::jobs::options::{axis_name, skin_method_name};
 use crate::jobs::{JobRequest, LevelOfDetail, RigOptions};
 use serde::Serialize;
@@ -31,6 +31,10 @@ pub struct OptionsView {
     #[param(required = false, value_type = SymmetryName)]
     #[schema(example = "auto", required = false, value_type = SymmetryName)]
     pub symmetry: &'static str,
+    /// Which fingers stay: `auto` (unless given) those of hands with at least three, `on` all that are found, `off` none.
+    #[param(required = false, value_type = FingersName)]
+    #[schema(example = "auto", required = false, value_type = FingersName)]
+    pub fingers: &'static str,
     /// What weighs the vertices; `auto` unless given.
     #[param(required = false, value_type = SkinMethodName)]
     #[schema(example = "auto", required = false, value_type = SkinMethodName)]
@@ -184,6 +188,7 @@ impl From<&RigOptions> for OptionsView {
             detail,
             bandwidth,
             symmetry: options.symmetry.name(),
+            fingers: options.fingers.name(),
             skin_method: skin_method_name(options.skin_method),
             boxes: options.boxes.name(),
             skeleton: options.skeleton.as_ref().map(|skeleton| format!("{} joints", skeleton.joints.len())),
