@@ -183,7 +183,8 @@ pub async fn openapi() -> impl IntoResponse {
     Json(DOCUMENT.clone())
 }
 
-fn document() -> Value {
+/// The description as JSON.
+pub fn document() -> Value {
     let mut document = serde_json::to_value(Description::openapi()).unwrap_or_default();
     let scheme = json!({"type": "http", "scheme": "bearer", "description": "A key made by `rigsmith keys new`; only where the service asks for keys"});
     let ticket = json!({"type": "apiKey", "in": "query", "name": TICKET, "description": "A ticket from `POST /v1/rigs/{id}:ticket`; opens the events of one rig"});
