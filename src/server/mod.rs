@@ -1,5 +1,6 @@
 //! The doors of the service, REST and gRPC on one port: extract, call [`crate::jobs`], answer.
 
+mod batch_orders;
 pub mod batches;
 mod connections;
 mod exchanges;

@@ -4,7 +4,7 @@ pub mod artifacts;
 pub mod asset_views;
 pub mod assets;
 pub mod authenticate;
-mod batch_items;
+pub(super) mod batch_items;
 pub mod batch_views;
 pub mod batches;
 pub mod check_views;
