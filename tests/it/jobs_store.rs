@@ -3,6 +3,8 @@
 
 #[path = "jobs_store/batches.rs"]
 mod batches;
+#[path = "jobs_store/encrypted.rs"]
+mod encrypted;
 #[path = "jobs_store/engines.rs"]
 pub mod engines;
 #[path = "jobs_store/keeping.rs"]
