@@ -35,6 +35,11 @@ build: ort ## build the program (target/release/rigsmith)
 ort: ## put ONNX Runtime into third_party/ (fetched once, pinned by digest; WHEEL=file uses a local copy)
 	@$(PYTHON) tools/fetch_onnxruntime.py $(if $(WHEEL),--wheel $(WHEEL))
 
+.PHONY: python-client
+python-client: build python-packages ## make the Python package of the service's clients (clients/python) into target/python-client
+	$(VENV)/bin/python clients/python/generate.py $(BINARY)
+	$(VENV)/bin/python -m pip wheel --quiet --disable-pip-version-check --no-deps --wheel-dir target/python-client clients/python
+
 # ---- check ----------------------------------------------------------------------------------------------------------
 
 .PHONY: test

@@ -89,6 +89,10 @@ pub struct ServeConfig {
     #[arg(long, env = "RIGSMITH_UPLOADS", value_name = "N", default_value_t = 32, value_parser = at_least_one)]
     pub uploads: usize,
 
+    /// Uploads in parts of one caller that are not complete; one more is refused with 429
+    #[arg(long, env = "RIGSMITH_OPEN_UPLOADS", value_name = "N", default_value_t = 16, value_parser = at_least_one)]
+    pub open_uploads: usize,
+
     /// Largest upload in MiB, all its files together
     #[arg(long, env = "RIGSMITH_UPLOAD_MIB", value_name = "MIB", default_value_t = 100)]
     pub upload_mib: u64,

@@ -3,8 +3,9 @@
     python3 tests/postgres.py -- cargo test --release --test it jobs_store
 
 makes a cluster with the programs of Debian's `postgresql` package (or those on PATH, or in the folder named by
-PG_BIN), starts it on a free port, runs the command with TEST_POSTGRES_URL set to its address, stops the server,
-and ends with the command's status. Root runs the server as the user `postgres`, since PostgreSQL refuses root.
+PG_BIN), starts it on a free port, runs the command with TEST_POSTGRES_URL set to its address and TEST_POSTGRES_ROOT to
+the certificate by which it is known, stops the server, and ends with the command's status. Root runs the server as the
+user `postgres`, since PostgreSQL refuses root.
 """
 
 from __future__ import annotations
@@ -21,9 +22,23 @@ import tempfile
 import time
 from pathlib import Path
 
-VARIABLE = "TEST_POSTGRES_URL"
+VARIABLE, ROOT_VARIABLE = "TEST_POSTGRES_URL", "TEST_POSTGRES_ROOT"
 # Nothing of a test outlives it, so nothing needs to be on the disk; many tests run at once.
 FOR_TESTS = {"fsync": "off", "synchronous_commit": "off", "full_page_writes": "off", "max_connections": "400"}
+
+
+# A certificate for 127.0.0.1 alone, signed by itself.
+CERTIFICATE = """
+[req]
+prompt = no
+distinguished_name = name
+x509_extensions = extensions
+[name]
+CN = PostgreSQL for tests
+[extensions]
+basicConstraints = critical, CA:FALSE
+subjectAltName = IP:127.0.0.1
+"""
 
 
 class Missing(Exception):
@@ -67,6 +82,20 @@ class Postgres:
             os.chown(self.folder, user.pw_uid, user.pw_gid)
         self.run("initdb", "--pgdata", str(self.folder / "data"), "--auth", "trust", "--username", "rigsmith",
                  "--encoding", "UTF8", "--locale", "C", "--no-sync")  # fmt: skip
+
+    def encrypt(self) -> Path:
+        """Has connections encrypted that ask for it. Gives the certificate."""
+        if not shutil.which("openssl"):
+            raise Missing("openssl is missing, and makes the server's certificate: `apt-get install openssl`")
+        (self.folder / "certificate.cnf").write_text(CERTIFICATE)
+        files = {"ssl_key_file": str(self.folder / "key.pem"), "ssl_cert_file": str(self.folder / "certificate.pem")}
+        subprocess.run(
+            ["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes", "-days", "2",
+             "-config", "certificate.cnf", "-keyout", files["ssl_key_file"], "-out", files["ssl_cert_file"]],
+            cwd=self.folder, check=True, capture_output=True, **self.owner,
+        )  # fmt: skip
+        self.settings = {**self.settings, "ssl": "on", **files}
+        return Path(files["ssl_cert_file"])
 
     def run(self, program: str, *arguments: str) -> str:
         done = subprocess.run(
@@ -118,8 +147,10 @@ def main() -> int:
     try:
         server = Postgres(folder, FOR_TESTS)
         try:
+            certificate = server.encrypt()
+            os.chmod(folder, 0o755)  # for whoever reads the certificate
             server.start()
-            return subprocess.call(command, env={**os.environ, VARIABLE: server.url})
+            return subprocess.call(command, env={**os.environ, VARIABLE: server.url, ROOT_VARIABLE: str(certificate)})
         finally:
             server.stop(signal.SIGQUIT)
     except Missing as missing:

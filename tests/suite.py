@@ -43,7 +43,9 @@ STEPS = [
          CARGO_SUMMARY),  # fmt: skip
     Step("Python tests", [PYTHON, "-m", "pytest", "-q", "models/tests", "tests/reliability"], PYTEST_SUMMARY),
     Step("Python client", [PYTHON, "tests/checks/python_client.py"], CHECK_SUMMARY, ["program"]),
+    Step("Python package", [PYTHON, "-m", "pytest", "-q", "clients/python/tests"], PYTEST_SUMMARY, ["program"]),
     Step("stock gRPC client", [PYTHON, "tests/checks/stock_grpc.py"], CHECK_SUMMARY, ["program"]),
+    Step("stock tus client", [PYTHON, "tests/checks/stock_tus.py"], CHECK_SUMMARY, ["program"]),
     Step("rigging of the cases", [PYTHON, "tests/checks/rig_cases.py", OUTPUTS], CHECK_SUMMARY, ["program"]),
     Step("glTF validator", ["node", "tests/checks/validate.mjs", OUTPUTS], CHECK_SUMMARY, ["program"]),
     Step("three.js", ["node", "tests/checks/threejs.mjs", OUTPUTS], CHECK_SUMMARY, ["program"]),

@@ -11,6 +11,7 @@ mod features;
 mod files;
 mod keys;
 mod methods;
+mod openapi;
 mod remote;
 mod rig;
 mod serve;
@@ -45,6 +46,8 @@ enum Command {
     Check(check::CheckArguments),
     /// List the methods that run here, their models, licences and self-tests.
     Methods,
+    /// Print the OpenAPI document of the service.
+    Openapi,
     /// Start the HTTP service.
     Serve(serve::ServeArguments),
     /// Work on the jobs that other processes of the service take in.
@@ -104,6 +107,7 @@ fn run_command() -> Result<(), failure::Failure> {
         Command::Batch(arguments) => batch::run(&arguments, &cli.engine),
         Command::Check(arguments) => check::run(&arguments),
         Command::Methods => methods::run(&cli.engine),
+        Command::Openapi => openapi::run(),
         Command::Serve(arguments) => serve::run(arguments, &cli.engine),
         Command::Worker(arguments) => serve::work(arguments, &cli.engine),
         Command::Submit(arguments) => remote::submit(&arguments),

@@ -47,6 +47,8 @@ pub struct PartSkin {
 
 /// Most joints of a skeleton that is read: far above any character's, and far below what would exhaust a service.
 pub const JOINTS_MAX: usize = 1_000;
+/// What is wrong with a file is told in this many characters at most: it may quote the file.
+const PROBLEM_CHARS_MAX: usize = 200;
 
 /// Why a rig file cannot be used.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -191,15 +193,19 @@ pub fn read(bytes: &[u8]) -> Result<RigFile, RigFileError> {
     let read: Read = serde_json::from_slice(bytes).map_err(|error| RigFileError::Json {
         line: error.line(),
         column: error.column(),
-        problem: error.to_string(),
+        problem: shown(&error.to_string()),
     })?;
     if read.format != FORMAT {
-        return Err(RigFileError::Format { found: read.format });
+        return Err(RigFileError::Format { found: shown(&read.format) });
     }
     let skeleton = skeleton(read.joints)?;
     let joints = skeleton.joints.len();
     let skins = read.skins.into_iter().enumerate().map(|(index, skin)| part_skin(index, skin, joints));
     Ok(RigFile { method: read.method, skins: skins.collect::<Result<_, _>>()?, skeleton, report: read.report })
+}
+
+fn shown(text: &str) -> String {
+    text.chars().take(PROBLEM_CHARS_MAX).collect()
 }
 
 /// The joints as a skeleton, if they are one tree.

@@ -95,6 +95,11 @@ id!(
     BatchId,
     "bat_"
 );
+id!(
+    /// An upload that arrives in parts.
+    UploadId,
+    "upl_"
+);
 
 #[cfg(test)]
 mod tests {

@@ -7,13 +7,14 @@
 //! 2. [`upload`]      [`Upload`], [`Received`]: files while they arrive; dropped, they leave nothing
 //! 3. [`submission`]  [`Submission`]: who asks for what, how urgently; [`Refusal`]: why not
 //! 4. [`queue`]       [`Jobs`]: the one way to jobs and assets, see below; its parts `looking` (what became of them), `checking` (a
-//!    look at a mesh without a job), `exporting` (other forms of a rig), `keeping` (assets, contents) and `batching` stand in files of
-//!    their own
-//! 5. [`job`], [`asset`], [`batch`], [`event`], [`page`]  what a caller sees; [`failure`] why there is no rig, by who must act
+//!    look at a mesh without a job), `exporting` (other forms of a rig), `keeping` (assets, contents), `resuming` (uploads in parts) and
+//!    `batching` stand in files of their own
+//! 5. [`job`], [`asset`], [`batch`], `resumable`, [`event`], [`page`]  what a caller sees; [`failure`] why there is no rig, by who must act
 //!
 //! | wish | call |
 //! |---|---|
 //! | receive files | [`Jobs::upload`] → [`Upload::begin`], [`Upload::append`], [`Upload::finish`] → [`Received`] |
+//! | receive one file in parts | [`Jobs::begin_resumable`], [`Jobs::resumable`], [`Jobs::add_to_resumable`], [`Jobs::delete_resumable`] |
 //! | keep them | [`Jobs::put_asset`], [`Jobs::asset`], [`Jobs::delete_asset`] |
 //! | look at a mesh | [`Jobs::check`], [`Jobs::check_asset`] → [`Check`] |
 //! | a job | [`Jobs::submit`] of [`Submission::new`]`(caller, source, options)`; [`Submitted::replayed`] tells a repetition |
@@ -60,6 +61,8 @@ pub mod perform;
 pub mod queue;
 mod recipe;
 mod report;
+mod resumable;
+mod resuming;
 mod running;
 mod settings;
 mod skeleton;
@@ -77,7 +80,7 @@ pub use engine::{Engine, check_file};
 pub use event::{Event, EventKind};
 pub use failure::{ErrorClass, ErrorCode, JobError, PassedLimit};
 pub use history::Events;
-pub use ids::{AssetId, BatchId, JobId, NotAnId};
+pub use ids::{AssetId, BatchId, JobId, NotAnId, UploadId};
 pub use job::{ArtifactInfo, FileInfo, Job, JobRequest, JobResult, JobState, Notice};
 pub use looking::Denied;
 pub use options::{
@@ -89,6 +92,7 @@ pub use perform::{
     Artifact, Availability, MethodInfo, ModelInfo, NamedFile, Outcome, Readiness, RigRequest, Rigger, Timing, Watch,
 };
 pub use queue::{Jobs, StartError};
+pub use resumable::{NewResumable, NotAdded, Resumable, ResumableState};
 pub use settings::Settings;
 pub use skeleton::{canonical_skeleton, read_skeleton};
 pub use stage::Stage;

@@ -201,6 +201,7 @@ fn word<W: Words>(raw: Raw) -> Result<W, String> {
 fn skeleton(raw: Raw) -> Result<Arc<Skeleton>, String> {
     let read = match raw {
         Raw::Text(text) => rig_json::read(text.as_bytes()),
+        Raw::Json(Value::String(text)) => rig_json::read(text.as_bytes()),
         Raw::Json(value) => rig_json::read(value.to_string().as_bytes()),
     };
     read.map(|file| Arc::new(file.skeleton)).map_err(|error| format!("{error}; {}", error.hint()))
@@ -258,6 +259,22 @@ mod tests {
         let mut reader = OptionsReader::default();
         reader.json(field, &value);
         reader.finish().expect_err("refused").remove(0)
+    }
+
+    #[test]
+    fn a_skeleton_in_json_is_an_object_or_the_text_of_one() {
+        let joints = json!([{ "name": "hips", "parent": null, "position": [0.5, 1.0, -0.25] }]);
+        let file = json!({ "format": rig_json::FORMAT, "joints": joints });
+        let read = |value: Value| {
+            let mut reader = OptionsReader::default();
+            reader.json("skeleton", &value);
+            reader.finish().expect("valid").skeleton.expect("a skeleton")
+        };
+        assert_eq!(read(json!(file.to_string())), read(file));
+        let long = refused("skeleton", json!("x".repeat(1 << 20)));
+        assert!(long.detail.len() < 1000, "a refusal does not repeat the file: {} bytes", long.detail.len());
+        let long = refused("skeleton", json!({ "format": rig_json::FORMAT, "joints": "x".repeat(1 << 20) }));
+        assert!(long.detail.len() < 1000, "a refusal does not repeat the file: {} bytes", long.detail.len());
     }
 
     #[test]

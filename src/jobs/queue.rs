@@ -335,14 +335,14 @@ fn given_up() -> StoreFailure {
 }
 
 /// The database names these blobs now; the others go.
-pub(super) fn keep(bundles: [Option<Bundle>; 2], kept: &[String]) {
+pub(super) fn keep(bundles: impl IntoIterator<Item = Option<Bundle>>, kept: &[String]) {
     for mut bundle in bundles.into_iter().flatten() {
         kept.iter().for_each(|location| bundle.keep(location));
     }
 }
 
 /// Nobody knows whether the database names these blobs.
-pub(super) fn leave_in_doubt(bundles: [Option<Bundle>; 2]) {
+pub(super) fn leave_in_doubt(bundles: impl IntoIterator<Item = Option<Bundle>>) {
     bundles.into_iter().flatten().for_each(|mut bundle| bundle.leave_in_doubt());
 }
 

@@ -52,6 +52,11 @@ impl Received {
         self.blobs().iter().map(info).collect()
     }
 
+    /// All files together.
+    pub fn bytes(&self) -> u64 {
+        self.bundle.files().iter().map(|file| file.bytes).sum()
+    }
+
     pub(super) fn blobs(&self) -> Vec<crate::storage::NewBlob> {
         let mut blobs = self.bundle.files().to_vec();
         blobs.sort_by_key(|file| file.name != self.main);

@@ -1,5 +1,6 @@
 //! The doors of the service, REST and gRPC on one port: extract, call [`crate::jobs`], answer.
 
+mod batch_orders;
 pub mod batches;
 mod connections;
 mod exchanges;
@@ -57,6 +58,8 @@ pub struct Limits {
     pub upload_bytes_max: u64,
     /// Uploads received at the same time.
     pub uploads_max: usize,
+    /// Uploads in parts of one caller that are not complete.
+    pub open_uploads_max: usize,
     /// Longest pause while an upload arrives.
     pub upload_pause_max: Duration,
     /// Longest time that one upload may take, however steadily it trickles.
@@ -71,6 +74,7 @@ impl Default for Limits {
         Self {
             upload_bytes_max: 100 * 1024 * 1024,
             uploads_max: 32,
+            open_uploads_max: 16,
             upload_pause_max: Duration::from_secs(30),
             upload_time_max: Duration::from_secs(900),
             grace: Duration::from_secs(30),

@@ -201,6 +201,7 @@ fn limits(config: &ServeConfig) -> Limits {
     Limits {
         upload_bytes_max: config.upload_mib.saturating_mul(MIB),
         uploads_max: config.uploads,
+        open_uploads_max: config.open_uploads,
         upload_pause_max: Duration::from_secs(config.upload_pause_seconds),
         upload_time_max: Duration::from_secs(config.upload_seconds),
         grace: Duration::from_secs(config.node.grace_seconds),

@@ -109,6 +109,8 @@ fn the_examples_of_the_api_do_what_they_say() {
     assert!(served.file("exported.glb") == served.file("rigged.glb"), "an export is the file that the job made");
     let gltf: serde_json::Value = serde_json::from_slice(&served.file("hero.gltf")).expect("JSON");
     assert_eq!(gltf["skins"].as_array().map(Vec::len), Some(1));
+    let upload: serde_json::Value = serde_json::from_slice(&served.file("upload.json")).expect("JSON");
+    assert!(upload["asset"].is_string() && upload["offset"] == upload["length"], "{upload}");
     let results = String::from_utf8(served.file("results.jsonl")).expect("text");
     let results: Vec<serde_json::Value> =
         results.lines().map(|line| serde_json::from_str(line).expect("JSON")).collect();

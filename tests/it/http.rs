@@ -24,3 +24,5 @@ pub mod scripted;
 mod service;
 #[path = "http/socket.rs"]
 pub mod socket;
+#[path = "http/tus.rs"]
+mod tus;

@@ -3,12 +3,16 @@
 
 #[path = "jobs_store/batches.rs"]
 mod batches;
+#[path = "jobs_store/encrypted.rs"]
+mod encrypted;
 #[path = "jobs_store/engines.rs"]
 pub mod engines;
 #[path = "jobs_store/keeping.rs"]
 mod keeping;
 #[path = "jobs_store/many.rs"]
 mod many;
+#[path = "jobs_store/resumable.rs"]
+mod resumable;
 #[path = "jobs_store/sqlite_file.rs"]
 mod sqlite_file;
 #[path = "jobs_store/taking.rs"]
@@ -71,6 +75,11 @@ macro_rules! all_rules_on {
                 canceling_a_batch_ends_what_waits_and_names_what_runs
                 an_asset_that_an_item_waits_for_is_kept
                 batches_are_each_callers_own_and_forgotten_in_time
+            }
+            resumable {
+                an_upload_grows_at_its_end_alone
+                the_last_bytes_make_an_asset_of_an_upload_once
+                uploads_that_nobody_goes_on_with_expire_and_are_remembered
             }
         }
     };

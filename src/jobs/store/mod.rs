@@ -11,7 +11,7 @@
 //!    with its result, its events and the blobs that it names.
 //! 5. **Numbers.** Every event of a job has the next number; they survive a restart.
 //! 6. **Blobs.** The store alone says which blobs are in use; [`JobStore::collect`] forgets those that no asset, no
-//!    unfinished job and no kept result names, and its caller removes them.
+//!    unfinished job, no kept result and no open upload names, and its caller removes them.
 //! 7. **Batches.** An item is pending until it is settled, once: as a job, as refused, or as canceled. An asset that a
 //!    pending item needs is kept. A batch is over when all its items are.
 //!
@@ -20,9 +20,11 @@
 
 pub(super) mod codec;
 pub mod postgres;
+pub mod resumable;
 mod sql;
 pub mod sqlite;
 
+use self::resumable::ResumableStore;
 use super::asset::Asset;
 use super::batch::{Batch, BatchItem, NewBatch, OpenBatch, PendingItem, Settled};
 use super::clock::Timestamp;
@@ -274,7 +276,7 @@ impl Duty {
 
 /// Where jobs are written down. See the module for its rules.
 #[async_trait]
-pub trait JobStore: Send + Sync {
+pub trait JobStore: ResumableStore {
     /// Writes a job down, or finds it.
     async fn submit(&self, new: NewJob) -> Result<Admission, StoreFailure>;
 

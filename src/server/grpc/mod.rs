@@ -1,6 +1,7 @@
 //! The gRPC door (`proto/rigsmith/v1/rigging.proto`): the same functions as REST, on the same port, behind the same keys.
 //! Handlers read a message, call what REST calls, and write a message.
 
+mod batches;
 mod body;
 mod health;
 mod messages;

@@ -1,17 +1,18 @@
-//! `google.longrunning.Operations`: jobs as every client library of long-running operations knows them.
+//! `google.longrunning.Operations`: jobs and batches as every client library of long-running operations knows them.
 
 use super::super::App;
-use super::super::http::error::ApiError;
+use super::super::batch_orders;
+use super::super::http::error::{ApiError, Code};
 use super::super::http::negotiate::WAIT_MAX;
 use super::super::http::rigs::{PAGE_SIZE, after, cancel, delete, find, page, page_size};
-use super::identity;
 use super::messages::operation;
 use super::proto::google::longrunning::operations_server::Operations;
 use super::proto::google::longrunning::{
     CancelOperationRequest, DeleteOperationRequest, GetOperationRequest, ListOperationsRequest, ListOperationsResponse,
     Operation, WaitOperationRequest,
 };
-use crate::jobs::JobFilter;
+use super::{batches, identity};
+use crate::jobs::{BatchId, JobFilter};
 use std::time::Duration;
 use tonic::{Request, Response, Status};
 
@@ -27,10 +28,17 @@ impl OperationsDoor {
 
 const COLLECTION: &str = "operations";
 
-/// The job that an operation is named after.
-fn job_id(name: &str) -> Result<&str, ApiError> {
-    let id = name.strip_prefix(COLLECTION).and_then(|rest| rest.strip_prefix('/'));
-    id.ok_or_else(|| ApiError::not_found("such operation").hint("operations are named operations/{rig}"))
+/// What an operation is named after.
+enum Named<'name> {
+    Job(&'name str),
+    Batch(&'name str),
+}
+
+fn named(name: &str) -> Result<Named<'_>, ApiError> {
+    let id = name.strip_prefix(COLLECTION).and_then(|rest| rest.strip_prefix('/')).ok_or_else(|| {
+        ApiError::not_found("such operation").hint("operations are named operations/{rig} or operations/{batch}")
+    })?;
+    Ok(if id.parse::<BatchId>().is_ok() { Named::Batch(id) } else { Named::Job(id) })
 }
 
 #[tonic::async_trait]
@@ -58,18 +66,32 @@ impl Operations for OperationsDoor {
     }
 
     async fn get_operation(&self, request: Request<GetOperationRequest>) -> Result<Response<Operation>, Status> {
-        let job = find(&self.app, &identity(&request).caller, job_id(&request.get_ref().name)?).await?;
-        Ok(Response::new(operation(&job)))
+        let caller = identity(&request).caller;
+        Ok(Response::new(match named(&request.get_ref().name)? {
+            Named::Job(id) => operation(&find(&self.app, &caller, id).await?),
+            Named::Batch(id) => batches::operation(&batch_orders::find(&self.app, &caller, id).await?),
+        }))
     }
 
     /// Forgets the job and its files, which are the result of the operation.
     async fn delete_operation(&self, request: Request<DeleteOperationRequest>) -> Result<Response<()>, Status> {
-        delete(&self.app, &identity(&request).caller, job_id(&request.get_ref().name)?).await?;
+        match named(&request.get_ref().name)? {
+            Named::Job(id) => delete(&self.app, &identity(&request).caller, id).await?,
+            Named::Batch(_) => {
+                return Err(ApiError::new(Code::MethodNotAllowed, "a batch is not deleted; it is forgotten in time")
+                    .hint("CancelOperation ends it; DeleteOperation forgets each of its rigs")
+                    .into());
+            }
+        }
         Ok(Response::new(()))
     }
 
     async fn cancel_operation(&self, request: Request<CancelOperationRequest>) -> Result<Response<()>, Status> {
-        cancel(&self.app, &identity(&request).caller, job_id(&request.get_ref().name)?).await?;
+        let caller = identity(&request).caller;
+        match named(&request.get_ref().name)? {
+            Named::Job(id) => _ = cancel(&self.app, &caller, id).await?,
+            Named::Batch(id) => _ = batch_orders::cancel(&self.app, &caller, id).await?,
+        }
         Ok(Response::new(()))
     }
 
@@ -82,8 +104,15 @@ impl Operations for OperationsDoor {
             Some(Ok(time)) => time.min(WAIT_MAX),
             Some(Err(_)) => return Err(ApiError::field("timeout", "is negative").into()),
         };
-        let job = find(&self.app, &caller, job_id(&name)?).await?;
-        let job = after(&self.app, &caller, job, Some(asked)).await?;
-        Ok(Response::new(operation(&job)))
+        Ok(Response::new(match named(&name)? {
+            Named::Job(id) => {
+                let job = find(&self.app, &caller, id).await?;
+                operation(&after(&self.app, &caller, job, Some(asked)).await?)
+            }
+            Named::Batch(id) => {
+                let batch = batch_orders::find(&self.app, &caller, id).await?;
+                batches::operation(&batch_orders::after(&self.app, &caller, batch, asked).await?)
+            }
+        }))
     }
 }

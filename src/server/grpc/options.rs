@@ -11,7 +11,7 @@ use super::super::uploads::{self, asset_id};
 use super::proto::rigsmith::v1::mesh::Mesh as MeshIs;
 use super::proto::rigsmith::v1::{FetchedMesh, InlineMesh, Mesh, RigOptions};
 use crate::jobs::Source;
-use serde_json::Value;
+use serde_json::{Map, Value};
 use std::time::SystemTime;
 
 /// A reader of the fields that are set, and their names.
@@ -20,6 +20,11 @@ pub fn read(options: Option<RigOptions>) -> (WishesReader, Vec<&'static str>) {
     let mut reader = WishesReader::default();
     given.iter().for_each(|(name, value)| reader.json(name, value));
     (reader, given.into_iter().map(|(name, _)| name).collect())
+}
+
+/// The fields that are set as members of a JSON object.
+pub fn members(options: RigOptions) -> Map<String, Value> {
+    given(options).into_iter().map(|(name, value)| (name.to_owned(), value)).collect()
 }
 
 fn given(options: RigOptions) -> Vec<(&'static str, Value)> {
@@ -44,7 +49,7 @@ fn given(options: RigOptions) -> Vec<(&'static str, Value)> {
         labels,
     } = options;
     let outputs = if outputs.is_empty() { None } else { Some(Value::from(outputs)) };
-    let labels = labels.into_iter().map(|(name, value)| (name, Value::from(value))).collect::<serde_json::Map<_, _>>();
+    let labels = labels.into_iter().map(|(name, value)| (name, Value::from(value))).collect::<Map<_, _>>();
     let labels = if labels.is_empty() { None } else { Some(Value::Object(labels)) };
     let fields = [
         ("method", method.map(Value::from)),

@@ -1,6 +1,7 @@
 //! `rigsmith.v1.RigService`.
 
 use super::super::App;
+use super::super::batch_orders::{self, Ordered};
 use super::super::http::artifacts;
 use super::super::http::authenticate::Identity;
 use super::super::http::check_views::CheckView;
@@ -10,14 +11,16 @@ use super::super::http::receive::Order;
 use super::super::http::rigs::{PAGE_SIZE, cancel, find, label_named, page, page_size};
 use super::super::orders::{self, Reskin};
 use super::super::uploads::{self, Kept};
+use super::batches::{self, Results};
 use super::messages::{operation, state, structure};
 use super::options::{read, request_id, source, terms};
 use super::proto::google::longrunning::Operation;
 use super::proto::rigsmith::v1::rig::State;
 use super::proto::rigsmith::v1::rig_service_server::RigService;
 use super::proto::rigsmith::v1::{
-    Asset, CancelRigRequest, CheckRigRequest, CheckRigResponse, CreateRigRequest, DownloadArtifactRequest,
-    GetRigRequest, ListRigsRequest, ListRigsResponse, ReskinRigRequest, Rig, UploadChunk, WatchRigRequest,
+    Asset, CancelRigRequest, CheckRigRequest, CheckRigResponse, CreateBatchRequest, CreateRigRequest,
+    DownloadArtifactRequest, GetRigRequest, ListBatchResultsRequest, ListRigsRequest, ListRigsResponse,
+    ReskinRigRequest, Rig, UploadChunk, WatchRigRequest,
 };
 use super::streams::{self, Chunks, RigEvents};
 use super::{deadline, identity};
@@ -57,6 +60,7 @@ fn deadline_of<T>(request: &Request<T>, timeout_seconds: Option<u64>) -> Option<
 impl RigService for RigDoor {
     type WatchRigStream = RigEvents;
     type DownloadArtifactStream = Chunks;
+    type ListBatchResultsStream = Results;
 
     async fn upload_asset(&self, request: Request<Streaming<UploadChunk>>) -> Result<Response<Asset>, Status> {
         let identity = identity(&request);
@@ -150,6 +154,20 @@ impl RigService for RigDoor {
         let asked = request.get_ref();
         let artifact = artifacts::named(&job, &asked.name)?;
         Ok(about(&job, streams::download(&self.app, artifact, asked.offset).await?))
+    }
+
+    async fn create_batch(&self, request: Request<CreateBatchRequest>) -> Result<Response<Operation>, Status> {
+        let identity = identity(&request);
+        let (members, id) = batches::read(request.into_inner())?;
+        let Ordered { batch, .. } =
+            batch_orders::place_members(&self.app, &identity, members, request_id(&id)?).await?;
+        Ok(Response::new(batches::operation(&batch)))
+    }
+
+    async fn list_batch_results(&self, request: Request<ListBatchResultsRequest>) -> Result<Response<Results>, Status> {
+        let caller = identity(&request).caller;
+        let batch = batch_orders::find(&self.app, &caller, &request.get_ref().id).await?;
+        Ok(Response::new(batches::results(&self.app, caller, batch.id)))
     }
 }
 

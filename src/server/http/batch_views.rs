@@ -3,6 +3,7 @@
 use super::timestamp::rfc3339;
 use super::views::{JobErrorView, JobView};
 use crate::jobs::{Batch, BatchCounts};
+use crate::server::batch_orders::{Became, Outcome};
 use serde::Serialize;
 use serde_json::Value;
 use utoipa::ToSchema;
@@ -74,15 +75,10 @@ impl From<&Batch> for BatchView {
     fn from(batch: &Batch) -> Self {
         let path = format!("/v1/batches/{}", batch.id);
         let BatchCounts { queued, running, succeeded, failed, canceled } = batch.counts;
-        let state = match (batch.canceled_at, batch.finished_at) {
-            (Some(_), _) => "canceled",
-            (None, Some(_)) => "completed",
-            (None, None) => "running",
-        };
         Self {
             id: batch.id.to_string(),
             object: "batch",
-            state,
+            state: state(batch),
             total: batch.counts.total(),
             counts: BatchCountsView { queued, running, succeeded, failed, canceled },
             created_at: rfc3339(batch.created_at),
@@ -93,6 +89,15 @@ impl From<&Batch> for BatchView {
                 this: path,
             },
         }
+    }
+}
+
+/// In one word.
+pub fn state(batch: &Batch) -> &'static str {
+    match (batch.canceled_at, batch.finished_at) {
+        (Some(_), _) => "canceled",
+        (None, Some(_)) => "completed",
+        (None, None) => "running",
     }
 }
 
@@ -134,4 +139,15 @@ pub struct BatchResultView {
     /// The job that has failed, or was canceled.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rig_id: Option<String>,
+}
+
+impl From<Outcome> for BatchResultView {
+    fn from(Outcome { custom_id, became }: Outcome) -> Self {
+        match became {
+            Became::Rig(job) => Self { custom_id, rig: Some(JobView::from(&*job)), error: None, rig_id: None },
+            Became::Nothing { error, job } => {
+                Self { custom_id, rig: None, error: Some(error), rig_id: job.map(|job| job.to_string()) }
+            }
+        }
+    }
 }

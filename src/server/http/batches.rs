@@ -5,27 +5,23 @@ use super::authenticate::Identity;
 use super::batch_items;
 use super::batch_views::{BatchItemView, BatchListView, BatchResultView, BatchView, CreateBatchView};
 use super::error::{ApiError, Code};
-use super::idempotency::{self, Turn};
+use super::idempotency;
 use super::negotiate::query;
 use super::receive;
-use super::rigs::{PAGE_SIZE, page_size, why_none};
+use super::rigs::{PAGE_SIZE, page_size};
 use super::segments::Segments;
-use super::views::{JobErrorView, JobView};
-use crate::jobs::{BatchId, BatchItem, Caller, ErrorCode, ItemState, JobState, Missing, NewBatch, NewItem};
+use crate::jobs::{BatchId, Caller};
+use crate::server::batch_orders::{self, LINES_BYTES_MAX, Ordered};
 use crate::server::uploads;
 use axum::Json;
 use axum::body::Body;
 use axum::extract::{Request, State};
 use axum::http::{HeaderValue, Method, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
-use serde_json::Value;
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
 
-/// The body of lines; about 640 bytes each.
-const LINES_BYTES_MAX: u64 = 32 << 20;
-/// Results that are looked up at a time, and pages of them ahead of a slow reader.
-const PAGE: usize = 100;
+/// Pages of results ahead of a slow reader.
 const PAGES_AHEAD: usize = 2;
 
 /// Order many rigs.
@@ -52,93 +48,31 @@ const PAGES_AHEAD: usize = 2;
 pub async fn create_batch(State(app): State<App>, identity: Identity, request: Request) -> Result<Response, ApiError> {
     query(request.uri(), &[])?;
     let key = idempotency::key(request.headers())?;
-    let (body, items) = items(&app, &identity, request).await?;
-    // Detached: once the key is taken, the answer is remembered even if the caller hangs up.
-    let made = tokio::spawn(async move { keep(&app, identity, items, key, &body).await });
-    made.await.map_err(|error| ApiError::internal(&error))?
-}
-
-/// The body, and the items that it holds.
-async fn items(app: &App, identity: &Identity, request: Request) -> Result<(Vec<u8>, Vec<NewItem>), ApiError> {
     let declared = request.headers().get(header::CONTENT_TYPE).and_then(|value| value.to_str().ok());
     let essence = declared.unwrap_or_default().split(';').next().unwrap_or_default().trim().to_ascii_lowercase();
-    match essence.as_str() {
+    let Ordered { batch, replayed } = match essence.as_str() {
         "application/jsonl" | "application/x-ndjson" => {
-            let _permit = uploads::permit(app)?;
-            let body = receive::body_bytes(app, request, LINES_BYTES_MAX).await?;
-            let items = batch_items::of_lines(&body, &Default::default())?;
-            Ok((body, items))
+            let _permit = uploads::permit(&app)?;
+            let lines = receive::body_bytes(&app, request, LINES_BYTES_MAX).await?;
+            let items = batch_items::of_lines(&lines, &Default::default())?;
+            batch_orders::place(&app, &identity, items, key, lines).await?
         }
         "application/json" => {
-            let members = receive::json_body(app, request).await?;
-            let body = Value::from(members.clone()).to_string().into_bytes();
-            let wanted = batch_items::Wanted::read(members, app.jobs.settings())?;
-            let items = match wanted.items {
-                batch_items::Items::Inline(items) => batch_items::of_values(items, &wanted.defaults)?,
-                batch_items::Items::Asset(id) => {
-                    let lines = lines_of(app, &identity.caller, &id).await?;
-                    batch_items::of_lines(&lines, &wanted.defaults)?
-                }
-            };
-            Ok((body, items))
+            let members = receive::json_body(&app, request).await?;
+            batch_orders::place_members(&app, &identity, members, key).await?
         }
         other => {
             let other: String = other.chars().take(80).collect();
-            Err(batch_items::unsupported(&other))
+            return Err(batch_items::unsupported(&other));
         }
-    }
-}
-
-/// The only file of an asset.
-async fn lines_of(app: &App, caller: &Caller, id: &str) -> Result<bytes::Bytes, ApiError> {
-    let asset = app.jobs.asset(caller, uploads::asset_id(id)?).await?.ok_or_else(uploads::missing)?;
-    if asset.files.len() != 1 {
-        let detail = format!("the asset has {} files; one with the lines is needed", asset.files.len());
-        return Err(ApiError::field("items", detail));
-    }
-    if asset.bytes() > LINES_BYTES_MAX {
-        return Err(ApiError::too_large(LINES_BYTES_MAX, Some(asset.bytes())));
-    }
-    let mut files = app.jobs.load_files(&asset.files, Missing::Asset).await?;
-    Ok(files.swap_remove(0).bytes)
-}
-
-async fn keep(
-    app: &App,
-    identity: Identity,
-    items: Vec<NewItem>,
-    key: Option<String>,
-    body: &[u8],
-) -> Result<Response, ApiError> {
-    let caller = identity.caller.clone();
-    if let Some(key) = &key
-        && let Turn::Again(id) = idempotency::turn(app, &caller, key, &[b"POST /v1/batches", body]).await?
-    {
-        let id = String::from_utf8_lossy(&id);
-        let mut response = accepted(&find(app, &caller, &id).await?.1)?;
+    };
+    let view = BatchView::from(&batch);
+    let location = HeaderValue::from_str(&view.links.this).map_err(|error| ApiError::internal(&error))?;
+    let mut response = (StatusCode::ACCEPTED, [(header::LOCATION, location)], Json(view)).into_response();
+    if replayed {
         idempotency::note_replay(&mut response);
-        return Ok(response);
     }
-    let new = NewBatch { caller: caller.clone(), jobs_max: identity.jobs_max, items };
-    let made = app.jobs.create_batch(new).await.map_err(ApiError::from);
-    if let Some(key) = &key {
-        let id = made.as_ref().ok().map(BatchId::to_string);
-        app.jobs.remember(&caller, key, id.as_deref().map(str::as_bytes)).await?;
-    }
-    app.batch_came.notify_one();
-    accepted(&find(app, &caller, &made?.to_string()).await?.1)
-}
-
-fn accepted(batch: &BatchView) -> Result<Response, ApiError> {
-    let location = HeaderValue::from_str(&batch.links.this).map_err(|error| ApiError::internal(&error))?;
-    Ok((StatusCode::ACCEPTED, [(header::LOCATION, location)], Json(batch)).into_response())
-}
-
-async fn find(app: &App, caller: &Caller, id: &str) -> Result<(BatchId, BatchView), ApiError> {
-    let missing = || ApiError::not_found("such batch");
-    let id: BatchId = id.parse().map_err(|error| missing().hint(format!("{error}")))?;
-    let batch = app.jobs.batch(caller, id).await?.ok_or_else(missing)?;
-    Ok((id, BatchView::from(&batch)))
+    Ok(response)
 }
 
 /// Look at a batch.
@@ -155,7 +89,7 @@ pub async fn get_batch(
     uri: Uri,
 ) -> Result<Json<BatchView>, ApiError> {
     query(&uri, &[])?;
-    Ok(Json(find(&app, &identity.caller, &id).await?.1))
+    Ok(Json(BatchView::from(&batch_orders::find(&app, &identity.caller, &id).await?)))
 }
 
 /// List batches, newest first.
@@ -221,11 +155,8 @@ pub async fn batch_verb(
 )]
 async fn cancel_batch(app: &App, identity: Identity, id: &str, request: Request) -> Result<Response, ApiError> {
     query(request.uri(), &[])?;
-    let (id, _) = find(app, &identity.caller, id).await?;
-    if !app.jobs.cancel_batch(&identity.caller, id).await? {
-        return Err(ApiError::not_found("such batch"));
-    }
-    Ok(Json(find(app, &identity.caller, &id.to_string()).await?.1).into_response())
+    let batch = batch_orders::cancel(app, &identity.caller, id).await?;
+    Ok(Json(BatchView::from(&batch)).into_response())
 }
 
 /// Get the results of a batch.
@@ -245,7 +176,7 @@ pub async fn get_batch_results(
     uri: Uri,
 ) -> Result<Response, ApiError> {
     query(&uri, &[])?;
-    let (id, _) = find(&app, &identity.caller, &id).await?;
+    let id = batch_orders::find(&app, &identity.caller, &id).await?.id;
     let (lines, pages) = mpsc::channel::<Result<String, ApiError>>(PAGES_AHEAD);
     tokio::spawn(async move {
         let mut first = 0;
@@ -268,46 +199,12 @@ pub async fn get_batch_results(
 
 /// Lines of the items from `first` on, and where the next page begins.
 async fn page(app: &App, caller: &Caller, id: BatchId, first: usize) -> Result<(String, Option<usize>), ApiError> {
-    let items = app.jobs.batch_items(id, first, PAGE).await?;
-    let next = items.last().filter(|_| items.len() == PAGE).map(|item| item.position + 1);
+    let (outcomes, next) = batch_orders::outcomes(app, caller, id, first).await?;
     let mut text = String::new();
-    for item in items {
-        let over = matches!(item.state, ItemState::Job(state) if state.is_final());
-        if over {
-            let result = result(app, caller, item).await?;
-            text += &serde_json::to_string(&result).map_err(|error| ApiError::internal(&error))?;
-            text.push('\n');
-        }
+    for outcome in outcomes {
+        let line = serde_json::to_string(&BatchResultView::from(outcome));
+        text += &line.map_err(|error| ApiError::internal(&error))?;
+        text.push('\n');
     }
     Ok((text, next))
-}
-
-async fn result(app: &App, caller: &Caller, item: BatchItem) -> Result<BatchResultView, ApiError> {
-    let BatchItem { custom_id, state, job, error, .. } = item;
-    let job = match job {
-        Some(id) => app.jobs.get(caller, id).await?,
-        None => None,
-    };
-    let refused = error.map(|error| serde_json::from_str(&error)).transpose();
-    let refused: Option<Value> = refused.map_err(|error| ApiError::internal(&error))?;
-    let (rig, error, rig_id) = match job {
-        Some(job) if matches!(job.state, JobState::Succeeded | JobState::Expired) => {
-            (Some(JobView::from(&job)), None, None)
-        }
-        Some(job) => (None, Some(told(&why_none(&job))?), Some(job.id.to_string())),
-        None => (None, Some(refused.map_or_else(|| told(&gone(state)), Ok)?), None),
-    };
-    Ok(BatchResultView { custom_id, rig, error, rig_id })
-}
-
-fn told(error: &ApiError) -> Result<Value, ApiError> {
-    serde_json::to_value(JobErrorView::from(error)).map_err(|error| ApiError::internal(&error))
-}
-
-/// Why an item without a job and without a refusal has no rig.
-fn gone(state: ItemState) -> ApiError {
-    match state {
-        ItemState::Job(JobState::Canceled) => ApiError::new(Code::Work(ErrorCode::Canceled), "the batch was canceled"),
-        _ => ApiError::not_found("such job any more; it was deleted, or is forgotten"),
-    }
 }

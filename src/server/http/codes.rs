@@ -29,6 +29,8 @@ pub enum Code {
     IdempotencyInProgress,
     StoreUnavailable,
     Starting,
+    UnsupportedVersion,
+    ChecksumMismatch,
 }
 
 /// What is fixed about a code.
@@ -42,7 +44,7 @@ pub struct Facts {
 impl Code {
     /// All codes, for the pages that explain them.
     pub fn all() -> impl Iterator<Item = Code> {
-        const OF_REQUESTS: [Code; 22] = [
+        const OF_REQUESTS: [Code; 24] = [
             Code::InvalidJson,
             Code::UnknownField,
             Code::InvalidParameter,
@@ -65,6 +67,8 @@ impl Code {
             Code::IdempotencyInProgress,
             Code::StoreUnavailable,
             Code::Starting,
+            Code::UnsupportedVersion,
+            Code::ChecksumMismatch,
         ];
         OF_REQUESTS.into_iter().chain(ErrorCode::ALL.into_iter().map(Code::Work))
     }
@@ -75,6 +79,8 @@ impl Code {
         use ErrorCode as Work;
         use StatusCode as Status;
         let (code, status, title, meaning) = match self {
+            Code::UnsupportedVersion => ("unsupported_version", Status::PRECONDITION_FAILED, "Another version is spoken here", "Resumable uploads are tus 1.0.0: every request but GET and OPTIONS says so in Tus-Resumable."),
+            Code::ChecksumMismatch => ("checksum_mismatch", Status::from_u16(460).unwrap_or(Status::BAD_REQUEST), "The bytes are not those that were meant", "What arrived does not have the checksum that was sent along. Nothing of it was kept; send it again from the same offset."),
             Code::InvalidJson => ("invalid_json", Status::BAD_REQUEST, "The JSON cannot be read", "The part named options must be one JSON object."),
             Code::UnknownField => ("unknown_field", Status::BAD_REQUEST, "Unknown field", "A query parameter, form field or JSON member has a name that this version does not know. Nothing is ignored silently."),
             Code::InvalidParameter => ("invalid_parameter", Status::BAD_REQUEST, "Invalid parameter", "A value is of the wrong kind, out of range, or contradicts another one; errors names each."),

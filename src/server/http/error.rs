@@ -178,6 +178,7 @@ impl ApiError {
                     | Code::Starting
                     | Code::UploadTimeout
                     | Code::UploadIncomplete
+                    | Code::ChecksumMismatch
             ),
         }
     }

@@ -4,7 +4,7 @@ pub mod artifacts;
 pub mod asset_views;
 pub mod assets;
 pub mod authenticate;
-mod batch_items;
+pub(super) mod batch_items;
 pub mod batch_views;
 pub mod batches;
 pub mod check_views;
@@ -26,6 +26,10 @@ pub mod service;
 pub(super) mod sink;
 pub mod tickets;
 pub(super) mod timestamp;
+pub mod tus;
+mod tus_headers;
+mod tus_receive;
+mod upload_views;
 pub mod verbs;
 pub mod views;
 pub mod wishes;
@@ -66,6 +70,7 @@ pub fn routes(app: App) -> Router {
         .route("/v1/rigs/{id}/events", get(events::rig_events))
         .route("/v1/rigs/{id}/artifacts", get(artifacts::list_artifacts))
         .route("/v1/rigs/{id}/artifacts/{name}", get(artifacts::get_artifact))
+        .merge(tus::routes())
         .merge(grpc::routes(&app))
         .fallback(no_such_path)
         .method_not_allowed_fallback(no_such_method)

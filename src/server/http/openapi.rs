@@ -3,7 +3,7 @@
 use super::authenticate::TICKET;
 use super::error::{Code, ProblemView};
 use super::request_views::RequestView;
-use super::{artifacts, assets, batches, create, events, rigs, service, tickets, verbs};
+use super::{artifacts, assets, batches, create, events, rigs, service, tickets, tus, verbs};
 use crate::jobs::ErrorCode;
 use axum::Json;
 use axum::http::header;
@@ -25,6 +25,7 @@ use utoipa::OpenApi;
     tags(
         (name = "rigs", description = "A mesh in, a rig out."),
         (name = "assets", description = "Meshes that are kept, to be rigged more than once."),
+        (name = "uploads", description = "Files that arrive in parts and can be taken up where they broke (tus 1.0). A complete one is an asset."),
         (name = "batches", description = "Many rigs at once, behind everything else."),
         (name = "artifacts", description = "The files that were made."),
         (name = "service", description = "What runs here, and how it is."),
@@ -34,6 +35,7 @@ use utoipa::OpenApi;
         rigs::get_rig, rigs::list_rigs, rigs::delete_rig, events::rig_events,
         verbs::cancel_rig, verbs::export_rig, verbs::reskin_rig, tickets::ticket_rig,
         assets::create_asset, assets::get_asset, assets::delete_asset, assets::get_asset_content,
+        tus::upload_options, tus::create_upload, tus::get_upload, tus::head_upload, tus::patch_upload, tus::delete_upload,
         artifacts::list_artifacts, artifacts::get_artifact,
         batches::create_batch, batches::get_batch, batches::list_batches, batches::cancel_batch, batches::get_batch_results,
         service::list_methods, service::list_problems, service::get_problem,
@@ -125,6 +127,18 @@ const BATCHING: &[Code] = &[
     Code::Work(ErrorCode::UnsupportedMediaType),
     Code::Work(ErrorCode::Draining),
 ];
+/// Refusals of uploads in parts,
+const RESUMING: &[Code] = &[Code::UnsupportedVersion, Code::NotFound, Code::Expired];
+/// and of their bytes.
+const CARRYING: &[Code] = &[
+    Code::UploadIncomplete,
+    Code::UploadTimeout,
+    Code::QueueFull,
+    Code::ChecksumMismatch,
+    Code::Work(ErrorCode::TooLarge),
+    Code::Work(ErrorCode::UnsupportedMediaType),
+    Code::Work(ErrorCode::Draining),
+];
 /// Refusals of whatever asks for a key, and of a service whose jobs cannot be read or written.
 const GUARDED: &[Code] =
     &[Code::Unauthenticated, Code::RateLimited, Code::StoreUnavailable, Code::Work(ErrorCode::Internal)];
@@ -164,6 +178,21 @@ const PROBLEMS: &[(&str, &[&[Code]])] = &[
     ("get_asset", &[GUARDED, ASKING, &[Code::NotFound]]),
     ("delete_asset", &[GUARDED, ASKING, &[Code::NotFound]]),
     ("get_asset_content", &[GUARDED, ASKING, &[Code::NotFound, Code::Expired, Code::RangeNotSatisfiable]]),
+    ("upload_options", &[GUARDED]),
+    (
+        "create_upload",
+        &[
+            GUARDED,
+            ASKING,
+            RESUMING,
+            CARRYING,
+            &[Code::QuotaExceeded, Code::IdempotencyMismatch, Code::IdempotencyInProgress],
+        ],
+    ),
+    ("get_upload", &[GUARDED, ASKING, &[Code::NotFound, Code::Expired]]),
+    ("head_upload", &[GUARDED, ASKING, RESUMING]),
+    ("patch_upload", &[GUARDED, ASKING, RESUMING, CARRYING, &[Code::QuotaExceeded, Code::Conflict]]),
+    ("delete_upload", &[GUARDED, ASKING, RESUMING]),
     ("list_artifacts", &[GUARDED, ASKING, &[Code::NotFound, Code::Expired]]),
     ("get_artifact", &[GUARDED, ASKING, &[Code::NotFound, Code::Expired, Code::RangeNotSatisfiable]]),
     ("create_batch", &[GUARDED, ASKING, BATCHING]),
@@ -183,7 +212,8 @@ pub async fn openapi() -> impl IntoResponse {
     Json(DOCUMENT.clone())
 }
 
-fn document() -> Value {
+/// The description as JSON.
+pub fn document() -> Value {
     let mut document = serde_json::to_value(Description::openapi()).unwrap_or_default();
     let scheme = json!({"type": "http", "scheme": "bearer", "description": "A key made by `rigsmith keys new`; only where the service asks for keys"});
     let ticket = json!({"type": "apiKey", "in": "query", "name": TICKET, "description": "A ticket from `POST /v1/rigs/{id}:ticket`; opens the events of one rig"});

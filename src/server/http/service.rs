@@ -150,6 +150,7 @@ pub async fn list_methods(State(app): State<App>, uri: Uri) -> Result<Json<Metho
     let limits = BTreeMap::from([
         ("upload_bytes", app.limits.upload_bytes_max),
         ("uploads", app.limits.uploads_max as u64),
+        ("open_uploads", app.limits.open_uploads_max as u64),
         ("queue", settings.queue_max as u64),
         ("workers", settings.workers as u64),
         ("job_seconds", settings.job_time_max.as_secs()),

@@ -41,6 +41,8 @@ pub enum Ask {
     Cancel(String),
     Delete(String),
     Reskin(String, &'static str, Value),
+    /// Defaults, and the name, asset and options of each item; answered by what became of them.
+    Batch(Value, Vec<(&'static str, String, Value)>, Option<String>),
     /// Name and content of each file.
     Upload(Vec<(&'static str, &'static str)>, Option<String>),
     Download(String, &'static str, u64),

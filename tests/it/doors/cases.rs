@@ -2,6 +2,7 @@
 
 use super::asks::{Ask, Create, Door, Mesh, Over, Said, create, script};
 use crate::http::scripted::{Service, request};
+use crate::http::socket::start;
 use rigsmith::jobs::Readiness;
 use rigsmith::server::app;
 use rigsmith::server::keys::{self, Keys, OwnQuota, Quota};
@@ -37,6 +38,8 @@ async fn both(change: impl Fn(&mut Service), ask: impl Fn(&World) -> Vec<Ask>) -
         let mut service = Service::new();
         let world = world(&service).await;
         change(&mut service);
+        // Feeds the queue with the items of batches.
+        let _running = start(&service).await;
         let door = Door { service: &service, key: None, over };
         let mut answers = Vec::new();
         for ask in ask(&world) {
@@ -126,6 +129,37 @@ async fn orders_give_the_same_rigs_and_refusals() {
             (named("hero-v3", 2), "conflict"),
             (Ask::Get("hero-v3".to_owned()), ""),
             (named("rig_mine", 1), "invalid_parameter"),
+        ]
+    })
+    .await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn batches_give_the_same_results_and_refusals() {
+    each(|world| {
+        let of = |name, options| (name, world.asset.clone(), options);
+        let two = vec![of("a", json!({"seed": 3})), of("b", json!({"seed": 4, "labels": {"project": "b"}}))];
+        let more = vec![
+            of("fine", json!({})),
+            of("detail", json!({"detail": 9})),
+            of("priority", json!({"priority": "high"})),
+            ("gone", "ast_00000000000000000000000000".to_owned(), json!({})),
+            ("asset", "no id".to_owned(), json!({})),
+            of("fine", json!({})),
+            of("", json!({})),
+        ];
+        let ask = |defaults: Value, items: &Vec<_>, key: Option<&str>| {
+            Ask::Batch(defaults, items.clone(), key.map(str::to_owned))
+        };
+        vec![
+            (ask(json!({}), &two, None), ""),
+            (ask(json!({"detail": 0.2, "outputs": ["rig_json"]}), &two, Some("batch")), ""),
+            (ask(json!({"outputs": ["rig_json"], "detail": 0.2}), &two, Some("batch")), ""),
+            (ask(json!({"detail": 0.3}), &two, Some("batch")), "idempotency_mismatch"),
+            (ask(json!({"detail": 9}), &two, None), "invalid_parameter"),
+            (ask(json!({}), &more, None), ""),
+            (ask(json!({}), &vec![], None), "invalid_parameter"),
+            (ask(json!({}), &vec![two[0].clone(); 1001], None), "invalid_parameter"),
         ]
     })
     .await;

@@ -96,6 +96,21 @@ impl Door<'_> {
                 let operation = rigs.reskin_rig(self.call(asked)).await?.into_inner();
                 comparable(&self.over(operation).await?)
             }
+            Ask::Batch(defaults, items, key) => {
+                let items = items.into_iter().map(|(name, asset, wanted)| proto::BatchItem {
+                    custom_id: name.to_owned(),
+                    asset,
+                    options: Some(options(&wanted)),
+                });
+                let asked = proto::CreateBatchRequest {
+                    defaults: Some(options(&defaults)),
+                    items: items.collect(),
+                    items_asset: String::new(),
+                    request_id: key.unwrap_or_default(),
+                };
+                let operation = rigs.create_batch(self.call(asked)).await?.into_inner();
+                self.batch_over_grpc(operation).await?
+            }
             Ask::Upload(files, key) => {
                 let chunks = files.iter().flat_map(|(name, content)| {
                     let file = proto::UploadFile { name: (*name).to_owned(), main: false };
@@ -121,6 +136,34 @@ impl Door<'_> {
                 format!("{:x}", Sha256::digest(&bytes)).into()
             }
         }))
+    }
+
+    /// The counts of a batch that is over, and what became of its items.
+    async fn batch_over_grpc(&self, operation: Operation) -> Result<Value, Status> {
+        let asked = WaitOperationRequest { name: operation.name.clone(), timeout: None };
+        let operation = self.operations().wait_operation(self.call(asked)).await?.into_inner();
+        let told = operation.metadata.expect("metadata");
+        assert_eq!((operation.done, told.type_url.as_str()), (true, "type.googleapis.com/rigsmith.v1.Batch"));
+        let batch = proto::Batch::decode(&*told.value).expect("a batch");
+        assert!(batch.end_time.is_some());
+        let asked = proto::ListBatchResultsRequest { id: batch.id.clone() };
+        let mut stream = self.rigs().list_batch_results(self.call(asked)).await?.into_inner();
+        let mut results = Vec::new();
+        while let Some(proto::BatchResult { custom_id, result, rig_id }) = stream.message().await? {
+            let (rig, error) = match result.expect("a result") {
+                proto::batch_result::Result::Rig(rig) => (comparable(&rig_json(rig)), None),
+                proto::batch_result::Result::Error(error) => (Value::Null, Some(error)),
+            };
+            let said = |text: fn(&proto::RigError) -> &String| {
+                error.as_ref().map(|error| text(error).clone()).filter(|text| !text.is_empty())
+            };
+            results.push(json!({"custom_id": custom_id, "rig": rig, "code": said(|error| &error.code),
+                "message": said(|error| &error.message), "hint": said(|error| &error.hint), "has_rig_id": !rig_id.is_empty()}));
+        }
+        let counts = json!({"queued": batch.queued, "running": batch.running, "succeeded": batch.succeeded,
+            "failed": batch.failed, "canceled": batch.canceled});
+        let state = batch.state().as_str_name().to_lowercase();
+        Ok(json!({"state": state, "counts": counts, "results": results}))
     }
 
     /// The rig of an operation once it is over; the operation tells the same.

@@ -63,6 +63,21 @@ impl Door<'_> {
                 let over = self.rest("GET", answer.header("location"), &[("prefer", "wait=10")], "").await;
                 Said::Fine(comparable(&over.json()))
             }
+            Ask::Batch(defaults, items, key) => {
+                let item = |(name, asset, options): &(&str, String, Value)| {
+                    let mut request = options.clone();
+                    request["asset"] = asset.as_str().into();
+                    json!({"custom_id": name, "request": request})
+                };
+                let body = json!({"defaults": defaults, "items": items.iter().map(item).collect::<Vec<_>>()});
+                let mut fields = vec![("content-type", "application/json")];
+                fields.extend(key.as_deref().map(|key| ("idempotency-key", key)));
+                let answer = self.rest("POST", "/v1/batches", &fields, &body.to_string()).await;
+                if !answer.status.is_success() {
+                    return refused(&answer);
+                }
+                Said::Fine(self.batch_over_rest(answer.header("location")).await)
+            }
             Ask::Upload(files, key) => {
                 let key = key.unwrap_or_default();
                 let fields = [("idempotency-key", key.as_str())];
@@ -85,6 +100,28 @@ impl Door<'_> {
                 }
             }
         }
+    }
+
+    /// The counts of a batch that is over, and what became of its items.
+    async fn batch_over_rest(&self, path: &str) -> Value {
+        let batch = loop {
+            let batch = self.rest("GET", path, &[], "").await.json();
+            if batch["state"] != "running" {
+                break batch;
+            }
+            tokio::time::sleep(std::time::Duration::from_millis(20)).await;
+        };
+        let results = self.rest("GET", &format!("{path}/results"), &[], "").await;
+        let lines = String::from_utf8(results.bytes).expect("text");
+        let results = lines.lines().map(|line| {
+            let result: Value = serde_json::from_str(line).expect("JSON");
+            let rig = comparable(&result["rig"]);
+            let rig = if result["rig"].is_null() { Value::Null } else { rig };
+            let error = &result["error"];
+            json!({"custom_id": result["custom_id"], "rig": rig, "code": error["code"], "message": error["message"],
+                "hint": error["hint"], "has_rig_id": result["rig_id"].is_string()})
+        });
+        json!({"state": batch["state"], "counts": batch["counts"], "results": results.collect::<Vec<_>>()})
     }
 
     async fn order(&self, path: &str, create: &Create) -> Answer {

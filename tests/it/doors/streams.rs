@@ -9,8 +9,9 @@ use http_body_util::{BodyExt, Empty};
 use hyper_util::rt::{TokioExecutor, TokioIo};
 use prost::Message;
 use rigsmith::jobs::Readiness;
+use rigsmith::server::grpc::proto::google::longrunning::operation::Result as OperationResult;
 use rigsmith::server::grpc::proto::google::longrunning::{
-    CancelOperationRequest, GetOperationRequest, ListOperationsRequest, WaitOperationRequest,
+    CancelOperationRequest, DeleteOperationRequest, GetOperationRequest, ListOperationsRequest, WaitOperationRequest,
 };
 use rigsmith::server::grpc::proto::rigsmith::v1::mesh::Mesh as MeshIs;
 use rigsmith::server::grpc::proto::rigsmith::v1::rig::State;
@@ -18,8 +19,8 @@ use rigsmith::server::grpc::proto::rigsmith::v1::rig_event::Event;
 use rigsmith::server::grpc::proto::rigsmith::v1::rig_service_client::RigServiceClient;
 use rigsmith::server::grpc::proto::rigsmith::v1::upload_chunk::Part;
 use rigsmith::server::grpc::proto::rigsmith::v1::{
-    CreateRigRequest, DownloadArtifactRequest, GetRigRequest, InlineMesh, Mesh, RigEvent, RigMetadata, UploadChunk,
-    UploadFile, WatchRigRequest,
+    Batch, BatchItem, CreateBatchRequest, CreateRigRequest, DownloadArtifactRequest, GetRigRequest, InlineMesh, Mesh,
+    RigEvent, RigMetadata, UploadChunk, UploadFile, WatchRigRequest,
 };
 use std::io::{Read, Write};
 use std::net::TcpStream;
@@ -278,4 +279,34 @@ async fn the_file_marked_main_is_the_mesh_and_a_stream_must_make_sense() {
         let shown = format!("{parts:?}");
         assert_eq!(upload(parts).await.expect_err("refused").code(), Code::InvalidArgument, "{shown}");
     }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_batch_is_an_operation_that_can_be_canceled() {
+    let service = Service::new();
+    let _running = start(&service).await;
+    let door = door(&service);
+    let kept = service.send(request("POST", "/v1/assets", &[("content-type", "model/obj")], "hang")).await.json();
+    let asset = kept["id"].as_str().expect("an id").to_owned();
+    let item = |number: u32| BatchItem { custom_id: number.to_string(), asset: asset.clone(), options: None };
+    let asked = CreateBatchRequest { items: (0..3).map(item).collect(), ..CreateBatchRequest::default() };
+    let operation = door.rigs().create_batch(asked).await.expect("taken").into_inner();
+    let batch = Batch::decode(&*operation.metadata.expect("metadata").value).expect("a batch");
+    assert_eq!((operation.name.clone(), operation.done), (format!("operations/{}", batch.id), false));
+    let name = operation.name;
+    let waited = WaitOperationRequest {
+        name: name.clone(),
+        timeout: Some(Duration::from_millis(20).try_into().expect("a duration")),
+    };
+    assert!(!door.operations().wait_operation(waited).await.expect("answers").into_inner().done);
+    let deleted = door.operations().delete_operation(DeleteOperationRequest { name: name.clone() }).await;
+    assert_eq!(deleted.expect_err("it stays").code(), Code::Unimplemented);
+    door.operations().cancel_operation(CancelOperationRequest { name: name.clone() }).await.expect("answers");
+    let over = WaitOperationRequest { name: name.clone(), timeout: None };
+    let over = door.operations().wait_operation(over).await.expect("answers").into_inner();
+    let Some(OperationResult::Error(error)) = over.result else { panic!("{over:?}") };
+    assert_eq!(info(&error.details).reason, "canceled");
+    assert_eq!(Batch::decode(&*over.metadata.expect("metadata").value).expect("a batch").canceled, 3);
+    let strange = GetOperationRequest { name: "operations/bat_00000000000000000000000000".to_owned() };
+    assert_eq!(door.operations().get_operation(strange).await.expect_err("none").code(), Code::NotFound);
 }

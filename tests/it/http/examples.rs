@@ -31,6 +31,9 @@ async fn every_example_of_the_description_answers_well() {
             let asset = service.send(request("POST", "/v1/assets", &[("content-type", "model/obj")], "ok")).await;
             let batch = request("POST", "/v1/batches", &[("content-type", "application/jsonl")], items);
             let batch = service.send(batch).await;
+            let fields = [("tus-resumable", "1.0.0"), ("upload-length", "2")];
+            let upload = service.send(request("POST", "/v1/uploads", &fields, "")).await;
+            let (_, upload) = upload.header("location").rsplit_once('/').expect("a path");
             let id = |answer: &Value| answer["id"].as_str().expect("an id").to_owned();
             let output = Command::new("bash")
                 .args([
@@ -44,6 +47,7 @@ async fn every_example_of_the_description_answers_well() {
                 .env("ID", id(&job.json()))
                 .env("ASSET", id(&asset.json()))
                 .env("BATCH", id(&batch.json()))
+                .env("UPLOAD", upload)
                 .output()
                 .expect("bash");
             let said = String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr);

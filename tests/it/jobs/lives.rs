@@ -1,7 +1,10 @@
 //! Jobs outlive the process, watchers outlive a connection.
 
 use super::bench::{assert_blobs, assert_intact, get, received, start, submission, submit, until};
-use rigsmith::jobs::{Caller, EventKind, JobFilter, JobState, Priority, Refusal, RigOptions, Source, Submission};
+use rigsmith::jobs::{
+    Caller, EventKind, JobFilter, JobState, NewResumable, Priority, Refusal, ResumableState, RigOptions, Source,
+    Submission,
+};
 use std::time::Duration;
 
 #[tokio::test]
@@ -138,4 +141,30 @@ async fn an_asset_serves_many_jobs_and_a_job_another_one() {
         jobs.submit(Submission::new(Caller::named("else"), Source::Job(first), RigOptions::default())).await,
         Err(Refusal::NotFound(_))
     ));
+}
+
+#[tokio::test]
+async fn the_parts_of_an_upload_outlive_the_process() {
+    let folder = tempfile::tempdir().expect("folder");
+    let caller = Caller::anonymous();
+    let new =
+        NewResumable { caller: caller.clone(), file_name: "a.obj".to_owned(), metadata: None, length: 6, open_max: 1 };
+    let (jobs, _) = start(folder.path(), |_| {});
+    let upload = jobs.begin_resumable(new).await.expect("answers").expect("one may be");
+    let part = received(&jobs, "a.obj", "abc");
+    assert_eq!(jobs.add_to_resumable(&caller, &upload, 0, vec![part]).await.expect("answers"), Ok(()));
+    jobs.close().await;
+    drop(jobs);
+
+    let (jobs, _) = start(folder.path(), |_| {});
+    let upload = jobs.resumable(&caller, upload.id).await.expect("answers").expect("is there");
+    assert_eq!(upload.received, 3);
+    let part = received(&jobs, "a.obj", "def");
+    assert_eq!(jobs.add_to_resumable(&caller, &upload, 3, vec![part]).await.expect("answers"), Ok(()));
+    let upload = jobs.resumable(&caller, upload.id).await.expect("answers").expect("is there");
+    let ResumableState::Complete(asset) = upload.state else { panic!("{upload:?}") };
+    let asset = jobs.asset(&caller, asset).await.expect("answers").expect("is there");
+    let content = jobs.open(&asset.files[0].sha256).await.expect("answers").expect("is kept");
+    assert_eq!(content.read().await.expect("reads"), "abcdef");
+    assert_blobs(folder.path(), 1);
 }

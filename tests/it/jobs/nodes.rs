@@ -1,11 +1,11 @@
 //! Jobs that several processes share: one takes them in, others do the work. Each process is a service of its own here,
 //! on one database and one bucket.
 
-use super::bench::{assert_intact, get, settings, submission, submit, until};
+use super::bench::{assert_intact, get, received, settings, submission, submit, until};
 use crate::bucket::Bucket;
 use crate::http::scripted::Scripted;
 use crate::jobs_store::engines::postgres_url;
-use rigsmith::jobs::{Caller, EventKind, JobState, Jobs, Settings};
+use rigsmith::jobs::{Caller, EventKind, JobState, Jobs, NewResumable, ResumableState, Settings};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
@@ -129,4 +129,27 @@ async fn storage_that_fails_for_a_while_costs_no_job() {
     assert_intact(&door.jobs, &job).await;
     door.jobs.delete(&Caller::anonymous(), id).await.expect("is deleted");
     service.bucket.assert_objects(0).await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn any_process_takes_the_next_part_of_an_upload() {
+    let service = Service::new().await;
+    let (first, second) = (service.node(0).await, service.node(0).await);
+    let caller = Caller::anonymous();
+    let new =
+        NewResumable { caller: caller.clone(), file_name: "a.obj".to_owned(), metadata: None, length: 9, open_max: 1 };
+    let id = first.jobs.begin_resumable(new).await.expect("answers").expect("one may be").id;
+    for (node, offset, bytes) in [(&first, 0, "abc"), (&second, 3, "def"), (&first, 6, "ghi")] {
+        let upload = node.jobs.resumable(&caller, id).await.expect("answers").expect("is there");
+        assert_eq!((upload.received, upload.state), (offset, ResumableState::Open));
+        let part = received(&node.jobs, "a.obj", bytes);
+        let added = node.jobs.add_to_resumable(&caller, &upload, offset, vec![part]).await.expect("answers");
+        assert_eq!(added, Ok(()), "{bytes}");
+    }
+    let upload = second.jobs.resumable(&caller, id).await.expect("answers").expect("is there");
+    let ResumableState::Complete(asset) = upload.state else { panic!("{upload:?}") };
+    let asset = second.jobs.asset(&caller, asset).await.expect("answers").expect("is there");
+    let content = second.jobs.open(&asset.files[0].sha256).await.expect("answers").expect("is kept");
+    assert_eq!(content.read().await.expect("reads"), "abcdefghi");
+    service.bucket.assert_objects(1).await;
 }

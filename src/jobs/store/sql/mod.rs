@@ -4,6 +4,7 @@ mod admission;
 mod batches;
 mod ending;
 mod reading;
+mod resumable;
 mod reuse;
 mod rows;
 mod statement;

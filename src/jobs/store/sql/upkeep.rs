@@ -1,7 +1,7 @@
 //! What time brings: lost workers, deadlines, the end of results, records and keys.
 
 use super::ending::end;
-use super::{Columns, Connection, Lock, int, millis, rows, sql, work};
+use super::{Columns, Connection, Lock, int, millis, resumable, rows, sql, work};
 use crate::jobs::clock::Timestamp;
 use crate::jobs::failure::{ErrorCode, JobError};
 use crate::jobs::job::JobState;
@@ -24,6 +24,8 @@ pub async fn anything_due(
          OR EXISTS (SELECT 1 FROM jobs WHERE state = 'succeeded' AND expires_at <= $1) \
          OR EXISTS (SELECT 1 FROM assets WHERE expires_at <= $1 AND {NOT_AWAITED}) \
          OR EXISTS (SELECT 1 FROM idempotency WHERE expires_at <= $1) \
+         OR EXISTS (SELECT 1 FROM uploads WHERE is_open = 1 AND expires_at <= $1) \
+         OR EXISTS (SELECT 1 FROM uploads WHERE expires_at <= $2) \
          OR EXISTS (SELECT 1 FROM jobs WHERE finished_at <= $2) \
          OR EXISTS (SELECT 1 FROM batches WHERE finished_at <= $2) \
          OR (SELECT count(*) FROM (SELECT 1 FROM jobs LIMIT $3) known) >= $3 \
@@ -56,8 +58,9 @@ pub async fn sweep(connection: &mut impl Connection, memory: Memory, now: Timest
         .execute(connection)
         .await?;
     sql("DELETE FROM idempotency WHERE expires_at <= $1").bind(now.0).execute(connection).await?;
+    let uploads = resumable::expire(connection, now).await?;
     let forgotten = forget(connection, memory, now).await?;
-    swept.freed |= !expired.is_empty() || assets > 0 || forgotten > 0;
+    swept.freed |= !expired.is_empty() || assets > 0 || uploads > 0 || forgotten > 0;
     Ok(swept)
 }
 
@@ -124,6 +127,10 @@ async fn forget(connection: &mut impl Connection, memory: Memory, now: Timestamp
         .bind(now.0.saturating_sub(millis(memory.records_time)))
         .execute(connection)
         .await?;
+    sql("DELETE FROM uploads WHERE expires_at <= $1")
+        .bind(now.0.saturating_sub(millis(memory.records_time)))
+        .execute(connection)
+        .await?;
     // Counted only where there is a bound: a large table takes its time.
     if memory.records_max == usize::MAX {
         return Ok(old);
@@ -163,7 +170,7 @@ pub async fn expire_oldest<C: Connection>(connection: &mut C) -> Result<bool, St
     Ok(true)
 }
 
-/// Forgets blobs that nothing needs: no asset, no job that waits or runs, and no result that is kept. An upload that
+/// Forgets blobs that nothing needs: no asset, no job that waits or runs, no result that is kept, and no open upload. An upload that
 /// came with its job is needed as long as such a job is there.
 pub async fn collect(connection: &mut impl Connection) -> Result<Vec<BlobPlace>, StoreFailure> {
     if !connection.lock(Lock::Upkeep).await? {
@@ -178,6 +185,7 @@ pub async fn collect(connection: &mut impl Connection) -> Result<Vec<BlobPlace>,
     .await?;
     let forgotten =
         sql("DELETE FROM blobs WHERE NOT EXISTS (SELECT 1 FROM asset_blobs a WHERE a.sha256 = blobs.sha256) \
+         AND NOT EXISTS (SELECT 1 FROM upload_parts p WHERE p.sha256 = blobs.sha256) \
          AND NOT EXISTS (SELECT 1 FROM job_blobs b JOIN jobs j ON j.id = b.job \
          WHERE b.sha256 = blobs.sha256 AND j.state IN ('queued', 'running', 'succeeded')) RETURNING location, bytes")
         .all(connection)
