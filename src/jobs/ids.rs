@@ -100,6 +100,16 @@ id!(
     UploadId,
     "upl_"
 );
+id!(
+    /// A place that is told what happens.
+    EndpointId,
+    "whe_"
+);
+id!(
+    /// What such places are told, once for all of them.
+    MessageId,
+    "evt_"
+);
 
 #[cfg(test)]
 mod tests {

@@ -7,9 +7,10 @@
 //! 2. [`upload`]      [`Upload`], [`Received`]: files while they arrive; dropped, they leave nothing
 //! 3. [`submission`]  [`Submission`]: who asks for what, how urgently; [`Refusal`]: why not
 //! 4. [`queue`]       [`Jobs`]: the one way to jobs and assets, see below; its parts `looking` (what became of them), `checking` (a
-//!    look at a mesh without a job), `exporting` (other forms of a rig), `keeping` (assets, contents), `resuming` (uploads in parts) and
-//!    `batching` stand in files of their own
-//! 5. [`job`], [`asset`], [`batch`], `resumable`, [`event`], [`page`]  what a caller sees; [`failure`] why there is no rig, by who must act
+//!    look at a mesh without a job), `exporting` (other forms of a rig), `keeping` (assets, contents), `resuming` (uploads in parts),
+//!    `batching` and `notifying` stand in files of their own
+//! 5. [`job`], [`asset`], [`batch`], `resumable`, [`event`], [`page`], [`webhooks`]  what a caller sees; [`failure`] why there is no rig,
+//!    by who must act
 //!
 //! | wish | call |
 //! |---|---|
@@ -23,6 +24,7 @@
 //! | stop | [`Jobs::cancel`], [`Jobs::delete`] |
 //! | bytes | [`Jobs::open`] by digest → [`Content::stream`](crate::storage::Content::stream) |
 //! | many at once | [`Jobs::create_batch`], [`Jobs::batch`], [`Jobs::batch_items`], [`Jobs::cancel_batch`]; whoever reads the requests of the items feeds the queue: [`Jobs::open_batches`], [`Jobs::pending_items`], [`Jobs::settle_item`], [`Jobs::conclude_batches`] |
+//! | tell callers | [`Jobs::create_endpoint`] and its neighbours in `notifying`; whoever reaches the endpoints sends: [`Jobs::claim_deliveries`], [`Jobs::note_attempt`] |
 //! | repeat any other POST | [`Jobs::recall`], [`Jobs::remember`] |
 //! | end | [`Jobs::drain`], [`Jobs::idle`], [`Jobs::stop_running`], [`Jobs::close`] |
 //!
@@ -54,6 +56,7 @@ mod keeper;
 mod keeping;
 mod looking;
 pub mod memory;
+mod notifying;
 pub mod options;
 mod options_reader;
 pub mod page;
@@ -71,6 +74,7 @@ pub mod store;
 pub mod submission;
 pub mod upload;
 mod watchers;
+pub mod webhooks;
 mod worker;
 
 pub use asset::{Asset, PutAsset};
@@ -80,7 +84,7 @@ pub use engine::{Engine, check_file};
 pub use event::{Event, EventKind};
 pub use failure::{ErrorClass, ErrorCode, JobError, PassedLimit};
 pub use history::Events;
-pub use ids::{AssetId, BatchId, JobId, NotAnId, UploadId};
+pub use ids::{AssetId, BatchId, EndpointId, JobId, MessageId, NotAnId, UploadId};
 pub use job::{ArtifactInfo, FileInfo, Job, JobRequest, JobResult, JobState, Notice};
 pub use looking::Denied;
 pub use options::{

@@ -9,7 +9,9 @@ mod addresses;
 
 pub use addresses::is_public;
 
+use bytes::Bytes;
 use reqwest::dns::{Addrs, Name, Resolve, Resolving};
+use reqwest::header::HeaderMap;
 use reqwest::redirect::Policy;
 use reqwest::{Client, Method, Response, Url};
 use rustls::crypto::ring;
@@ -53,6 +55,8 @@ pub enum OutgoingError {
     Redirect(String),
     #[error("it answered {0}")]
     Status(u16),
+    #[error("it gave no answer within {} s", .0.as_secs())]
+    Late(Duration),
     #[error("it could not be reached: {0}")]
     Unreachable(String),
 }
@@ -103,6 +107,25 @@ impl Outgoing {
             return Err(OutgoingError::Status(status.as_u16()));
         }
         Ok(response)
+    }
+
+    /// Whether a place may be told anything, as far as its URL says. What its name leads to is looked at when it is told.
+    pub fn check(&self, url: &str) -> Result<(), OutgoingError> {
+        self.guard.checked(url).map(|_| ())
+    }
+
+    /// Tells a place something. Gives the head of its answer, whatever it says, if it comes within `time`; the body, which
+    /// may never end, is not read.
+    pub async fn post(
+        &self,
+        url: &str,
+        headers: HeaderMap,
+        body: Bytes,
+        time: Duration,
+    ) -> Result<Response, OutgoingError> {
+        let url = self.guard.checked(url)?;
+        let request = self.client.request(Method::POST, url).headers(headers).body(body).timeout(time);
+        request.send().await.map_err(|error| if error.is_timeout() { OutgoingError::Late(time) } else { cause(&error) })
     }
 }
 

@@ -19,6 +19,8 @@ mod sqlite_file;
 mod taking;
 #[path = "jobs_store/telling.rs"]
 mod telling;
+#[path = "jobs_store/webhooks.rs"]
+mod webhooks;
 
 /// Every rule as a test of `$engine`.
 macro_rules! rules {
@@ -80,6 +82,21 @@ macro_rules! all_rules_on {
                 an_upload_grows_at_its_end_alone
                 the_last_bytes_make_an_asset_of_an_upload_once
                 uploads_that_nobody_goes_on_with_expire_and_are_remembered
+            }
+            webhooks {
+                what_happens_is_told_to_whoever_wants_it_and_to_nobody_else
+                work_that_begins_anew_is_not_told_again
+                a_message_tells_of_the_rig_as_it_was_then
+                the_end_of_a_batch_is_told_once
+                a_message_is_sent_by_one_and_by_another_when_that_one_is_lost
+                two_senders_never_send_the_same_message_at_once
+                a_message_is_tried_by_the_schedule_and_then_given_up
+                an_endpoint_that_is_overloaded_is_left_alone
+                an_endpoint_that_is_gone_is_disabled_until_its_caller_enables_it
+                a_failing_endpoint_gets_one_message_at_a_time_and_holds_up_no_other
+                two_secrets_sign_for_a_day_after_one_is_replaced
+                endpoints_are_each_callers_own_bounded_and_forgotten_whole
+                deliveries_are_listed_by_state_and_forgotten_in_time
             }
         }
     };

@@ -15,14 +15,18 @@
 //! 7. **Batches.** An item is pending until it is settled, once: as a job, as refused, or as canceled. An asset that a
 //!    pending item needs is kept. A batch is over when all its items are.
 //!
+//! 8. **Webhooks.** What callers want to be told is written with the change that it tells of; [`webhooks`] has the rules.
+//!
 //! Every engine passes the suite in `tests/it/jobs_store`. [`sqlite`] is the embedded one; [`postgres`] is shared by many
 //! processes. Both run the statements in `sql`.
 
 pub(super) mod codec;
 pub mod postgres;
 pub mod resumable;
+mod snapshot;
 mod sql;
 pub mod sqlite;
+pub mod webhooks;
 
 use self::resumable::ResumableStore;
 use super::asset::Asset;
@@ -42,6 +46,7 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::broadcast;
+use webhooks::WebhookStore;
 
 /// A worker is taken for lost when it was not heard of for this long.
 pub const LEASE: Duration = Duration::from_secs(15);
@@ -276,7 +281,7 @@ impl Duty {
 
 /// Where jobs are written down. See the module for its rules.
 #[async_trait]
-pub trait JobStore: ResumableStore {
+pub trait JobStore: ResumableStore + WebhookStore {
     /// Writes a job down, or finds it.
     async fn submit(&self, new: NewJob) -> Result<Admission, StoreFailure>;
 

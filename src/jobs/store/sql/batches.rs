@@ -1,6 +1,6 @@
 //! Batches and their items.
 
-use super::{Columns, Connection, int, rows, sql};
+use super::{Columns, Connection, int, messages, rows, sql};
 use crate::jobs::batch::{
     Batch, BatchCounts, BatchItem, ItemState, NewBatch, NewItem, OpenBatch, PendingItem, Settled,
 };
@@ -256,9 +256,15 @@ pub async fn conclude(connection: &mut impl Connection, now: Timestamp) -> Resul
     .execute(connection)
     .await?;
     let over = sql("UPDATE batches SET finished_at = $1 WHERE finished_at IS NULL AND NOT EXISTS (SELECT 1 \
-         FROM batch_items i WHERE i.batch = batches.id AND i.state IN ('pending', 'job')) RETURNING id")
+         FROM batch_items i WHERE i.batch = batches.id AND i.state IN ('pending', 'job')) RETURNING id, caller")
     .bind(now.0)
     .all(connection)
     .await?;
-    over.iter().map(batch_id).collect()
+    let mut ids = Vec::with_capacity(over.len());
+    for row in &over {
+        let id = batch_id(row)?;
+        messages::of_batch(connection, &Caller::named(row.get("caller")?), id, now).await?;
+        ids.push(id);
+    }
+    Ok(ids)
 }

@@ -2,13 +2,17 @@
 
 mod admission;
 mod batches;
+mod deliveries;
 mod ending;
+mod endpoints;
+mod messages;
 mod reading;
 mod resumable;
 mod reuse;
 mod rows;
 mod statement;
 mod upkeep;
+mod webhooks;
 mod work;
 
 pub(super) use statement::{Columns, Connection, Lock, Statement, Value, engine_connection, sql};
@@ -160,6 +164,7 @@ impl<E: Engine> JobStore for SqlStore<E> {
         let mut swept = Swept::default();
         upkeep::lose(&mut *writing, Timestamp(i64::MAX), self.0.now(), &mut swept).await?;
         reuse::forget_unanswered(&mut *writing).await?;
+        deliveries::lose_all(&mut *writing).await?;
         self.0.commit(writing).await?;
         self.tell_swept(&swept);
         Ok(swept)
@@ -357,7 +362,7 @@ impl<E: Engine> JobStore for SqlStore<E> {
     }
 }
 
-/// Appends to a job's history: each event gets the next number.
+/// Appends to a job's history: each event gets the next number. Whoever wants to be told of it will be.
 async fn append(
     connection: &mut impl Connection,
     id: JobId,
@@ -379,5 +384,5 @@ async fn append(
             .execute(connection)
             .await?;
     }
-    Ok(())
+    messages::of_job(connection, id, kinds, now).await
 }

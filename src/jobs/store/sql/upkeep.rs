@@ -1,7 +1,7 @@
 //! What time brings: lost workers, deadlines, the end of results, records and keys.
 
 use super::ending::end;
-use super::{Columns, Connection, Lock, int, millis, resumable, rows, sql, work};
+use super::{Columns, Connection, Lock, int, messages, millis, resumable, rows, sql, work};
 use crate::jobs::clock::Timestamp;
 use crate::jobs::failure::{ErrorCode, JobError};
 use crate::jobs::job::JobState;
@@ -28,12 +28,14 @@ pub async fn anything_due(
          OR EXISTS (SELECT 1 FROM uploads WHERE expires_at <= $2) \
          OR EXISTS (SELECT 1 FROM jobs WHERE finished_at <= $2) \
          OR EXISTS (SELECT 1 FROM batches WHERE finished_at <= $2) \
+         OR EXISTS (SELECT 1 FROM webhook_messages WHERE at <= $4) \
          OR (SELECT count(*) FROM (SELECT 1 FROM jobs LIMIT $3) known) >= $3 \
          THEN 1 ELSE 0 END AS BIGINT) AS due"
     )))
     .bind(now.0)
     .bind(now.0.saturating_sub(millis(memory.records_time)))
     .bind(int(memory.records_max as u64).saturating_add(1))
+    .bind(messages::forgotten_before(now))
     .one(connection)
     .await?;
     Ok(due.get::<i64>("due")? != 0)
@@ -58,6 +60,7 @@ pub async fn sweep(connection: &mut impl Connection, memory: Memory, now: Timest
         .execute(connection)
         .await?;
     sql("DELETE FROM idempotency WHERE expires_at <= $1").bind(now.0).execute(connection).await?;
+    messages::forget(connection, now).await?;
     let uploads = resumable::expire(connection, now).await?;
     let forgotten = forget(connection, memory, now).await?;
     swept.freed |= !expired.is_empty() || assets > 0 || uploads > 0 || forgotten > 0;

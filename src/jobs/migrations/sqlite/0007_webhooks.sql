@@ -1,0 +1,42 @@
+-- Who is told what happens, and what became of it.
+
+CREATE TABLE webhook_endpoints (
+    id              BLOB    NOT NULL PRIMARY KEY,
+    caller          TEXT    NOT NULL,
+    url             TEXT    NOT NULL,
+    description     TEXT    NOT NULL,
+    events          TEXT    NOT NULL, -- JSON: names of what it is told
+    enabled         INTEGER NOT NULL,
+    disabled_reason TEXT,             -- why the service has disabled it
+    secret          BLOB    NOT NULL,
+    previous_secret BLOB,             -- signs too until
+    previous_until  INTEGER,
+    failing_since   INTEGER,
+    held_until      INTEGER,          -- nothing is sent before this time
+    created_at      INTEGER NOT NULL
+) STRICT;
+CREATE INDEX webhook_endpoints_by_caller ON webhook_endpoints (caller);
+
+-- What happened, as it was then.
+CREATE TABLE webhook_messages (
+    id      BLOB    NOT NULL PRIMARY KEY,
+    type    TEXT    NOT NULL,
+    at      INTEGER NOT NULL,
+    subject TEXT    NOT NULL -- JSON
+) STRICT;
+CREATE INDEX webhook_messages_by_age ON webhook_messages (at);
+
+CREATE TABLE webhook_deliveries (
+    endpoint    BLOB    NOT NULL REFERENCES webhook_endpoints (id) ON DELETE CASCADE,
+    message     BLOB    NOT NULL REFERENCES webhook_messages (id) ON DELETE CASCADE,
+    state       TEXT    NOT NULL, -- pending, delivered, failed
+    due_at      INTEGER,          -- while pending
+    lease_until INTEGER,          -- while it is being sent
+    attempts    INTEGER NOT NULL, -- how often it was sent; the fencing token
+    tries       INTEGER NOT NULL, -- how often since it was last asked for
+    log         TEXT    NOT NULL, -- JSON: the newest attempts
+    PRIMARY KEY (endpoint, message)
+) STRICT, WITHOUT ROWID;
+CREATE INDEX webhook_deliveries_by_message ON webhook_deliveries (message);
+CREATE INDEX webhook_deliveries_due ON webhook_deliveries (endpoint, due_at) WHERE state = 'pending';
+CREATE INDEX webhook_deliveries_under_way ON webhook_deliveries (endpoint, lease_until) WHERE lease_until IS NOT NULL;
