@@ -72,7 +72,8 @@ pub struct ServeConfig {
     #[arg(long, env = "RIGSMITH_KEY_UPLOAD_MIB_PER_HOUR", value_name = "MIB", default_value_t = 10_240, value_parser = clap::value_parser!(u64).range(1..))]
     pub key_upload_mib_per_hour: u64,
 
-    /// Fetch meshes from addresses that callers name (asset.url): https, on the public internet alone
+    /// Make requests to addresses that callers name, to fetch meshes (asset.url) and to send webhooks: https, on the public
+    /// internet alone
     #[arg(long, env = "RIGSMITH_OUTGOING", value_name = "BOOL", default_value = "false", num_args = 0..=1,
         default_missing_value = "true", action = clap::ArgAction::Set, value_parser = BoolishValueParser::new())]
     pub outgoing: bool,

@@ -46,6 +46,7 @@ STEPS = [
     Step("Python package", [PYTHON, "-m", "pytest", "-q", "clients/python/tests"], PYTEST_SUMMARY, ["program"]),
     Step("stock gRPC client", [PYTHON, "tests/checks/stock_grpc.py"], CHECK_SUMMARY, ["program"]),
     Step("stock tus client", [PYTHON, "tests/checks/stock_tus.py"], CHECK_SUMMARY, ["program"]),
+    Step("webhooks", [PYTHON, "tests/checks/webhooks.py"], CHECK_SUMMARY, ["program"]),
     Step("rigging of the cases", [PYTHON, "tests/checks/rig_cases.py", OUTPUTS], CHECK_SUMMARY, ["program"]),
     Step("glTF validator", ["node", "tests/checks/validate.mjs", OUTPUTS], CHECK_SUMMARY, ["program"]),
     Step("three.js", ["node", "tests/checks/threejs.mjs", OUTPUTS], CHECK_SUMMARY, ["program"]),

@@ -13,6 +13,7 @@ mod quota;
 mod run;
 mod tickets;
 mod uploads;
+mod webhooks;
 
 pub use connections::ConnectionLimits;
 pub use run::{ServeError, run, serve, stop_signal, work};
@@ -35,7 +36,7 @@ pub struct App {
     uploads: Arc<Semaphore>,
     /// `None`: everybody may ask.
     guard: Option<Guard>,
-    /// The way out, to fetch meshes; `None`: none are fetched.
+    /// The way out, to fetch meshes and to send webhooks; `None`: neither is done.
     outgoing: Option<Outgoing>,
     /// A batch was handed in.
     batch_came: Arc<Notify>,
@@ -89,7 +90,7 @@ impl App {
         Self { jobs, limits, uploads, guard: None, outgoing: None, batch_came: Arc::default(), closing: Arc::default() }
     }
 
-    /// Meshes are fetched from where callers say.
+    /// Meshes are fetched from where callers say, and webhooks sent there.
     pub fn with_outgoing(mut self, outgoing: Outgoing) -> Self {
         self.outgoing = Some(outgoing);
         self

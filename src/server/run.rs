@@ -1,7 +1,7 @@
 //! From start to stop.
 
 use super::keys::{Keys, KeysError, Quota};
-use super::{App, ConnectionLimits, Limits, app, batches, connections, metrics};
+use super::{App, ConnectionLimits, Limits, app, batches, connections, metrics, webhooks};
 use crate::config::{NodeConfig, ServeConfig, WorkerConfig};
 use crate::jobs::{Jobs, Rigger, Settings, StartError, cores};
 use crate::outgoing::{Outgoing, OutgoingError, SystemNames};
@@ -240,7 +240,7 @@ fn refreshed(keys: Keys) -> JoinHandle<()> {
 }
 
 /// Serves on `listener` until `shutdown` resolves, then stops in order: no new jobs and not ready, while callers can
-/// still look; running jobs finish within the grace, or are asked to stop; then connections close.
+/// still look; running jobs finish within the grace, or are asked to stop; then what is still to be told is, and connections close.
 pub async fn run(listener: TcpListener, shutdown: impl Future<Output = ()>, state: App) -> io::Result<()> {
     let (jobs, limits, closing) = (state.jobs.clone(), state.limits, state.closing.clone());
     let (close, closed) = oneshot::channel::<()>();
@@ -249,6 +249,7 @@ pub async fn run(listener: TcpListener, shutdown: impl Future<Output = ()>, stat
         let _ = closed.await;
     };
     let feeding = tokio::spawn(batches::feed(state.clone()));
+    let sending = state.outgoing.clone().map(|outgoing| tokio::spawn(webhooks::send(state.clone(), outgoing)));
     let server = tokio::spawn(connections::serve(listener, app(state), limits.connection, closed, LAST_WAIT));
     shutdown.await;
     if drain(&jobs, limits.grace).await {
@@ -257,6 +258,9 @@ pub async fn run(listener: TcpListener, shutdown: impl Future<Output = ()>, stat
     closing.send_replace(true);
     drop(close);
     feeding.await.map_err(io::Error::other)?;
+    if let Some(sending) = sending {
+        sending.await.map_err(io::Error::other)?;
+    }
     server.await.map_err(io::Error::other)
 }
 

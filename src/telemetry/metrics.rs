@@ -18,6 +18,7 @@ pub const STAGE_SECONDS: &str = "rigsmith_stage_seconds";
 pub const FACES: &str = "rigsmith_job_faces";
 pub const JOINTS: &str = "rigsmith_job_joints";
 pub const CACHE_HITS: &str = "rigsmith_cache_hits_total";
+pub const WEBHOOKS: &str = "rigsmith_webhook_attempts_total";
 pub const MODEL_LOAD_SECONDS: &str = "rigsmith_models_load_seconds";
 pub const MODEL_PASSED: &str = "rigsmith_model_self_test_passed";
 pub const RESIDENT_BYTES: &str = "rigsmith_process_resident_bytes";
@@ -50,6 +51,7 @@ const METRICS: &[(&str, Kind, Unit, &str)] = &[
     (FACES, Kind::Histogram(FACE_COUNTS), Unit::Count, "faces of rigged meshes"),
     (JOINTS, Kind::Histogram(JOINT_COUNTS), Unit::Count, "joints of finished skeletons"),
     (CACHE_HITS, Kind::Counter, Unit::Count, "jobs answered by the result of an earlier equal one"),
+    (WEBHOOKS, Kind::Counter, Unit::Count, "attempts to deliver a webhook, by outcome: delivered, retried, given_up, gone"),
     (MODEL_LOAD_SECONDS, Kind::Gauge, Unit::Seconds, "time to load and test the networks at start"),
     (MODEL_PASSED, Kind::Gauge, Unit::Count, "1 when the network passed its self-test at start, else 0; by model"),
     (RESIDENT_BYTES, Kind::Gauge, Unit::Bytes, "memory of the process"),

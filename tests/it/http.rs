@@ -16,6 +16,8 @@ mod examples;
 mod fetching;
 #[path = "http/jobs.rs"]
 mod jobs;
+#[path = "http/receiver.rs"]
+pub mod receiver;
 #[path = "http/refusals.rs"]
 mod refusals;
 #[path = "http/scripted.rs"]
@@ -26,3 +28,5 @@ mod service;
 pub mod socket;
 #[path = "http/tus.rs"]
 mod tus;
+#[path = "http/webhooks.rs"]
+mod webhooks;

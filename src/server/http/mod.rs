@@ -32,6 +32,9 @@ mod tus_receive;
 mod upload_views;
 pub mod verbs;
 pub mod views;
+pub mod webhook_deliveries;
+pub mod webhook_views;
+pub mod webhooks;
 pub mod wishes;
 mod words;
 
@@ -47,6 +50,8 @@ use tower_http::catch_panic::CatchPanicLayer;
 
 /// Every path of the service.
 pub fn routes(app: App) -> Router {
+    let endpoint = get(webhooks::get_endpoint).patch(webhooks::change_endpoint).delete(webhooks::delete_endpoint);
+    let endpoint = endpoint.post(webhooks::endpoint_verb);
     Router::new()
         .route("/", get(openapi::front))
         .route("/docs", get(openapi::docs))
@@ -70,6 +75,13 @@ pub fn routes(app: App) -> Router {
         .route("/v1/rigs/{id}/events", get(events::rig_events))
         .route("/v1/rigs/{id}/artifacts", get(artifacts::list_artifacts))
         .route("/v1/rigs/{id}/artifacts/{name}", get(artifacts::get_artifact))
+        .route("/v1/webhook-endpoints", get(webhooks::list_endpoints).post(webhooks::create_endpoint))
+        .route("/v1/webhook-endpoints/{id}", endpoint)
+        .route("/v1/webhook-endpoints/{id}/deliveries", get(webhook_deliveries::list_deliveries))
+        .route(
+            "/v1/webhook-endpoints/{id}/deliveries/{message}",
+            get(webhook_deliveries::get_delivery).post(webhook_deliveries::delivery_verb),
+        )
         .merge(tus::routes())
         .merge(grpc::routes(&app))
         .fallback(no_such_path)

@@ -3,8 +3,12 @@
 use super::authenticate::TICKET;
 use super::error::{Code, ProblemView};
 use super::request_views::RequestView;
-use super::{artifacts, assets, batches, create, events, rigs, service, tickets, tus, verbs};
+use super::webhook_views::MessageView;
+use super::{
+    artifacts, assets, batches, create, events, rigs, service, tickets, tus, verbs, webhook_deliveries, webhooks,
+};
 use crate::jobs::ErrorCode;
+use crate::jobs::webhooks::MessageType;
 use axum::Json;
 use axum::http::header;
 use axum::response::{Html, IntoResponse};
@@ -27,6 +31,7 @@ use utoipa::OpenApi;
         (name = "assets", description = "Meshes that are kept, to be rigged more than once."),
         (name = "uploads", description = "Files that arrive in parts and can be taken up where they broke (tus 1.0). A complete one is an asset."),
         (name = "batches", description = "Many rigs at once, behind everything else."),
+        (name = "webhooks", description = "Being told what happens, instead of asking."),
         (name = "artifacts", description = "The files that were made."),
         (name = "service", description = "What runs here, and how it is."),
     ),
@@ -38,10 +43,13 @@ use utoipa::OpenApi;
         tus::upload_options, tus::create_upload, tus::get_upload, tus::head_upload, tus::patch_upload, tus::delete_upload,
         artifacts::list_artifacts, artifacts::get_artifact,
         batches::create_batch, batches::get_batch, batches::list_batches, batches::cancel_batch, batches::get_batch_results,
+        webhooks::create_endpoint, webhooks::list_endpoints, webhooks::get_endpoint, webhooks::change_endpoint,
+        webhooks::delete_endpoint, webhooks::rotate_secret, webhook_deliveries::test_endpoint,
+        webhook_deliveries::list_deliveries, webhook_deliveries::get_delivery, webhook_deliveries::redeliver,
         service::list_methods, service::list_problems, service::get_problem,
         service::livez, service::readyz, service::startupz, service::version,
     ),
-    components(schemas(ProblemView, RequestView)),
+    components(schemas(ProblemView, RequestView, MessageView)),
 )]
 struct Description;
 
@@ -139,6 +147,9 @@ const CARRYING: &[Code] = &[
     Code::Work(ErrorCode::UnsupportedMediaType),
     Code::Work(ErrorCode::Draining),
 ];
+/// Refusals of what is said of a webhook endpoint.
+const DESCRIBING: &[Code] =
+    &[Code::InvalidJson, Code::UploadIncomplete, Code::UploadTimeout, Code::Conflict, Code::Work(ErrorCode::TooLarge)];
 /// Refusals of whatever asks for a key, and of a service whose jobs cannot be read or written.
 const GUARDED: &[Code] =
     &[Code::Unauthenticated, Code::RateLimited, Code::StoreUnavailable, Code::Work(ErrorCode::Internal)];
@@ -200,6 +211,16 @@ const PROBLEMS: &[(&str, &[&[Code]])] = &[
     ("list_batches", &[GUARDED, ASKING]),
     ("cancel_batch", &[GUARDED, ASKING, &[Code::NotFound]]),
     ("get_batch_results", &[GUARDED, ASKING, &[Code::NotFound]]),
+    ("create_endpoint", &[GUARDED, ASKING, DESCRIBING, &[Code::IdempotencyMismatch, Code::IdempotencyInProgress]]),
+    ("list_endpoints", &[GUARDED, ASKING]),
+    ("get_endpoint", &[GUARDED, ASKING, &[Code::NotFound]]),
+    ("change_endpoint", &[GUARDED, ASKING, DESCRIBING, &[Code::NotFound]]),
+    ("delete_endpoint", &[GUARDED, ASKING, &[Code::NotFound]]),
+    ("rotate_secret", &[GUARDED, ASKING, &[Code::NotFound]]),
+    ("test_endpoint", &[GUARDED, ASKING, &[Code::NotFound, Code::Conflict]]),
+    ("list_deliveries", &[GUARDED, ASKING, &[Code::NotFound]]),
+    ("get_delivery", &[GUARDED, ASKING, &[Code::NotFound]]),
+    ("redeliver", &[GUARDED, ASKING, &[Code::NotFound, Code::Conflict]]),
     ("list_methods", &[GUARDED, ASKING]),
     ("get_problem", &[&[Code::NotFound]]),
     ("readyz", &[&[Code::Starting, Code::Work(ErrorCode::Draining), Code::Work(ErrorCode::ModelUnavailable)]]),
@@ -218,12 +239,35 @@ pub fn document() -> Value {
     let scheme = json!({"type": "http", "scheme": "bearer", "description": "A key made by `rigsmith keys new`; only where the service asks for keys"});
     let ticket = json!({"type": "apiKey", "in": "query", "name": TICKET, "description": "A ticket from `POST /v1/rigs/{id}:ticket`; opens the events of one rig"});
     document["components"]["securitySchemes"] = json!({"key": scheme, "ticket": ticket});
+    document["webhooks"] = MessageType::ALL.into_iter().map(|kind| (kind.name().to_owned(), told(kind))).collect();
     let paths = document.get_mut("paths").and_then(Value::as_object_mut);
     let operations = paths.into_iter().flat_map(Map::values_mut).filter_map(Value::as_object_mut);
     for operation in operations.flat_map(Map::values_mut) {
         complete(operation);
     }
     document
+}
+
+/// What an endpoint is asked when it is told of `kind`.
+fn told(kind: MessageType) -> Value {
+    let header = |name: &str, about: &str| json!({"name": name, "in": "header", "required": true, "description": about, "schema": {"type": "string"}});
+    json!({"post": {
+        "summary": format!("{} happened", kind.name()),
+        "tags": ["webhooks"],
+        "parameters": [
+            header("webhook-id", "Of the message; the same when it comes again"),
+            header("webhook-timestamp", "When it was sent, in seconds since 1970"),
+            header("webhook-signature", "`v1,` and an HMAC-SHA256 of `id.timestamp.body` in base64; several while a secret is replaced"),
+        ],
+        "requestBody": {"required": true, "content": {
+            "application/json": {"schema": {"$ref": "#/components/schemas/WebhookMessage"}},
+        }},
+        "responses": {
+            "2XX": {"description": "Taken"},
+            "410": {"description": "Send nothing more: the endpoint is disabled"},
+            "default": {"description": "Send it again later, not before `Retry-After`"},
+        },
+    }})
 }
 
 /// Adds the refusals of an operation, and whether it asks for a key.

@@ -2,6 +2,7 @@
 
 use crate::formats::ExistingRigPolicy;
 use crate::jobs::options::Words;
+use crate::jobs::webhooks::{DeliveryState, MessageType};
 use crate::jobs::{Boxes, Fingers, JobState, Output, Priority, Riggable, SkinMethod, Stage, Symmetry};
 use crate::pipelines::stance::{Category, Pose};
 use std::borrow::Cow;
@@ -31,6 +32,10 @@ macro_rules! words {
 
 words! {
     StateName as "RigState", "`expired`: succeeded once, and the results are gone.": JobState::ALL.map(JobState::name);
+    EventName as "WebhookEvent", "What a webhook endpoint may be told.": MessageType::ALL.map(MessageType::name);
+    MessageTypeName as "WebhookType", "What a webhook tells; `webhook.test` only when it was asked for.":
+        MessageType::ALL.into_iter().chain([MessageType::Test]).map(MessageType::name);
+    DeliveryStateName as "WebhookDeliveryState", "`failed`: given up.": DeliveryState::ALL.map(DeliveryState::name);
     StageName as "Stage", "A step of the work.": Stage::ALL.map(Stage::name);
     SeverityName as "Severity", "`error`: the file cannot be rigged.": ["info", "warning", "error"];
     SymmetryName as "Symmetry", "`auto`: where a mirror plane is found.": Symmetry::words();

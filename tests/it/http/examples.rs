@@ -2,12 +2,28 @@
 
 use super::scripted::{Service, request};
 use super::socket::start;
+use rigsmith::outgoing::{Outgoing, SystemNames};
+use rigsmith::server::app;
 use serde_json::Value;
 use std::process::Command;
+use std::sync::Arc;
+
+/// Ids of a webhook endpoint and of a message that it is told.
+async fn told(service: &Service) -> (String, String) {
+    let nobody = r#"{"url": "http://127.0.0.1:9/"}"#;
+    let made = request("POST", "/v1/webhook-endpoints", &[("content-type", "application/json")], nobody);
+    let id = |answer: Value| answer["id"].as_str().expect("an id").to_owned();
+    let endpoint = id(service.send(made).await.json());
+    let test = request("POST", &format!("/v1/webhook-endpoints/{endpoint}:test"), &[], "");
+    (endpoint, id(service.send(test).await.json()))
+}
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn every_example_of_the_description_answers_well() {
-    let service = Service::with(|settings, _| settings.workers = 4);
+    let mut service = Service::with(|settings, _| settings.workers = 4);
+    let outgoing = Outgoing::new(Arc::new(SystemNames), &["127.0.0.1".to_owned()]).expect("a client");
+    service.state = service.state.clone().with_outgoing(outgoing);
+    service.router = app(service.state.clone());
     let running = start(&service).await;
     let folder = tempfile::tempdir().expect("folder");
     for name in ["hero.glb", "hero.obj", "hero.mtl", "skin.png"] {
@@ -34,6 +50,7 @@ async fn every_example_of_the_description_answers_well() {
             let fields = [("tus-resumable", "1.0.0"), ("upload-length", "2")];
             let upload = service.send(request("POST", "/v1/uploads", &fields, "")).await;
             let (_, upload) = upload.header("location").rsplit_once('/').expect("a path");
+            let (endpoint, message) = told(&service).await;
             let id = |answer: &Value| answer["id"].as_str().expect("an id").to_owned();
             let output = Command::new("bash")
                 .args([
@@ -48,10 +65,15 @@ async fn every_example_of_the_description_answers_well() {
                 .env("ASSET", id(&asset.json()))
                 .env("BATCH", id(&batch.json()))
                 .env("UPLOAD", upload)
+                .env("ENDPOINT", &endpoint)
+                .env("MESSAGE", &message)
                 .output()
                 .expect("bash");
             let said = String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr);
             assert!(output.status.success(), "{verb} {path}\n{example}\n{said}");
+            // A caller may have only so many.
+            let done = request("DELETE", &format!("/v1/webhook-endpoints/{endpoint}"), &[], "");
+            service.send(done).await;
             ran += 1;
         }
     }
