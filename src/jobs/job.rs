@@ -15,6 +15,7 @@ use super::options::RigOptions;
 use super::perform::{ModelInfo, Timing};
 use super::stage::Stage;
 use super::submission::{Caller, Labels, Priority};
+use super::webhooks::JobWebhook;
 use crate::formats::{Finding, Severity};
 use std::sync::Arc;
 use std::time::{Duration, SystemTime};
@@ -110,6 +111,8 @@ pub struct JobRequest {
     pub client_id: Option<String>,
     /// Whether a skeleton came along.
     pub skeleton_given: bool,
+    /// Where it wants told what becomes of it.
+    pub webhook: Option<JobWebhook>,
 }
 
 /// What came out.

@@ -103,3 +103,4 @@ pub use stage::Stage;
 pub use store::{Counts, JobFilter, Remembered, StoreFailure};
 pub use submission::{Caller, Labels, Missing, Priority, Refusal, Source, Submission, Submitted};
 pub use upload::{Received, Upload, asset_sha256};
+pub use webhooks::JobWebhook;

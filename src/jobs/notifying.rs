@@ -5,12 +5,11 @@ use super::queue::Jobs;
 use super::store::StoreFailure;
 use super::submission::Caller;
 use super::webhooks::{
-    Delivery, DeliveryState, DueDelivery, Endpoint, EndpointChange, NewEndpoint, Secret, Tried, Verdict,
+    Delivery, DeliveryState, DueDelivery, Endpoint, EndpointChange, NewEndpoint, NewEndpointIs, Secret, Tried, Verdict,
 };
 
 impl Jobs {
-    /// `None`: the caller has as many endpoints as one may have.
-    pub async fn create_endpoint(&self, new: NewEndpoint) -> Result<Option<Endpoint>, StoreFailure> {
+    pub async fn create_endpoint(&self, new: NewEndpoint) -> Result<NewEndpointIs, StoreFailure> {
         self.core().jobs.create_endpoint(new).await
     }
 

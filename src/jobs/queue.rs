@@ -213,6 +213,7 @@ impl Jobs {
             retention: submission.retention.unwrap_or(settings.keep_time).min(settings.keep_time),
             client_id: submission.client_id,
             idempotency_key: submission.idempotency_key,
+            webhook: submission.webhook,
             wish,
             recipe,
             use_cache: submission.use_cache,

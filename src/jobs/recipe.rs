@@ -2,13 +2,14 @@
 
 use super::options::RigOptions;
 use super::perform::MethodInfo;
+use super::store::codec;
 use super::submission::Submission;
 use serde_json::json;
 use sha2::{Digest, Sha256};
 
 /// Everything that a caller says of a job, beside its files.
 pub fn wish(submission: &Submission) -> [u8; 32] {
-    let Submission { options, priority, labels, timeout, retention, client_id, .. } = submission;
+    let Submission { options, priority, labels, timeout, retention, client_id, webhook, .. } = submission;
     let said = json!({
         "options": options.to_json(),
         "priority": priority.name(),
@@ -16,6 +17,7 @@ pub fn wish(submission: &Submission) -> [u8; 32] {
         "timeout_ms": timeout.map(|time| time.as_millis() as u64),
         "retention_ms": retention.map(|time| time.as_millis() as u64),
         "client_id": client_id,
+        "webhook": webhook.as_ref().map(codec::webhook),
     });
     Sha256::digest(said.to_string()).into()
 }

@@ -6,6 +6,7 @@ use super::job::Job;
 use super::options::{FieldError, RigOptions};
 use super::store::StoreFailure;
 use super::upload::Received;
+use super::webhooks::JobWebhook;
 use crate::storage::StoreError;
 use std::collections::BTreeMap;
 use std::fmt;
@@ -93,6 +94,8 @@ pub struct Submission {
     pub jobs_max: Option<usize>,
     /// `rig.json` with the skeleton to keep: only the skin is made.
     pub skeleton: Option<bytes::Bytes>,
+    /// Where this job wants told what becomes of it.
+    pub webhook: Option<JobWebhook>,
 }
 
 impl Submission {
@@ -112,6 +115,7 @@ impl Submission {
             use_cache: true,
             jobs_max: None,
             skeleton: None,
+            webhook: None,
         }
     }
 }

@@ -4,6 +4,7 @@ use super::App;
 use super::http::authenticate::Identity;
 use super::http::error::{ApiError, Code};
 use super::http::receive::Order;
+use super::http::webhooks;
 use super::http::wishes::{Wishes, WishesReader};
 use crate::jobs::{Job, JobState, RigOptions, Source, Submission, Submitted, canonical_skeleton};
 use std::time::SystemTime;
@@ -48,11 +49,19 @@ pub async fn admit(app: &App, options: &RigOptions, may_be_known: bool) -> Resul
 /// Queues a job, or finds it.
 pub async fn place(app: &App, identity: &Identity, order: Order, terms: Terms) -> Result<Submitted, ApiError> {
     let Order { source, wishes } = order;
+    admit_webhook(app, identity, &wishes).await?;
     Ok(app.jobs.submit(submission(identity, source, wishes, terms)).await?)
 }
 
+async fn admit_webhook(app: &App, identity: &Identity, wishes: &Wishes) -> Result<(), ApiError> {
+    match &wishes.webhook {
+        Some(webhook) => webhooks::admit(app, &identity.caller, webhook).await,
+        None => Ok(()),
+    }
+}
+
 fn submission(identity: &Identity, source: Source, wishes: Wishes, terms: Terms) -> Submission {
-    let Wishes { options, priority, labels, timeout, retention } = wishes;
+    let Wishes { options, priority, labels, timeout, retention, webhook } = wishes;
     let Terms { client_id, idempotency_key, use_cache, deadline } = terms;
     Submission {
         priority,
@@ -64,6 +73,7 @@ fn submission(identity: &Identity, source: Source, wishes: Wishes, terms: Terms)
         idempotency_key,
         use_cache,
         jobs_max: identity.jobs_max,
+        webhook,
         ..Submission::new(identity.caller.clone(), source, options)
     }
 }
@@ -107,6 +117,7 @@ impl Reskin {
         terms: Terms,
     ) -> Result<Submitted, ApiError> {
         let skeleton = canonical_skeleton(skeleton)?;
+        admit_webhook(app, identity, &self.wishes).await?;
         let submission = Submission {
             skeleton: Some(skeleton.into()),
             ..submission(identity, Source::Job(self.of.id), self.wishes, terms)

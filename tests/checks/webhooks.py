@@ -16,6 +16,7 @@ import tempfile
 import threading
 import time
 import traceback
+import urllib.request
 from dataclasses import dataclass, field
 from datetime import datetime
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -28,7 +29,7 @@ from standardwebhooks import Webhook, WebhookVerificationError
 ROOT = Path(__file__).resolve().parent.parent.parent
 sys.path.insert(0, str(ROOT / "tests/reliability"))
 
-from service import Service  # noqa: E402
+from service import Service, free_port  # noqa: E402
 
 SAMPLE = (ROOT / "tests/fixtures/sample-character.glb").read_bytes()
 ENDED = ["rig.succeeded", "rig.failed", "rig.canceled"]
@@ -85,8 +86,8 @@ class Receiver(BaseHTTPRequestHandler):
 class Claims:
     """Each method is one claim."""
 
-    def __init__(self, service: Service, port: int) -> None:
-        self.service, self.port = service, port
+    def __init__(self, service: Service, port: int, metrics_port: int) -> None:
+        self.service, self.port, self.metrics_port = service, port, metrics_port
 
     def ask(self, method: str, path: str, body: dict | None = None) -> dict:
         status, _, answer = self.service.request(method, path, json.dumps(body) if body is not None else None, JSON)
@@ -237,6 +238,12 @@ class Claims:
             assert Webhook(secret).verify(received.body, received.headers)["type"] == "webhook.test"
         self.done(endpoint)
 
+    def an_operator_sees_what_becomes_of_them(self) -> None:
+        with urllib.request.urlopen(f"http://127.0.0.1:{self.metrics_port}/metrics", timeout=30) as answer:
+            told = answer.read().decode()
+        for outcome in ("delivered", "retried", "gone"):
+            assert re.search(rf'rigsmith_webhook_attempts_total{{outcome="{outcome}"}} [1-9]', told), told
+
     def what_was_not_taken_before_a_kill_comes_afterwards(self) -> None:
         endpoint, hook = self.endpoint(lambda _, count: (500 if count == 1 else 204, {}))
         rig = self.rig()
@@ -254,11 +261,12 @@ def main() -> int:
     threading.Thread(target=server.serve_forever, daemon=True).start()
     passed = failed = 0
     with tempfile.TemporaryDirectory() as place:
-        arguments = ["--outgoing", "--outgoing-hosts", "127.0.0.1"]
+        metrics_port = free_port()
+        arguments = ["--outgoing", "--outgoing-hosts", "127.0.0.1", "--metrics-listen", f"127.0.0.1:{metrics_port}"]
         binary = str(ROOT / "target/release/rigsmith")
         service = Service(binary, f"{place}/data", f"{place}/log", arguments).start()
         try:
-            claims = Claims(service, server.server_port)
+            claims = Claims(service, server.server_port, metrics_port)
             for claim in [name for name in vars(Claims) if name.count("_") > 2 and not name.startswith("_")]:
                 try:
                     getattr(claims, claim)()

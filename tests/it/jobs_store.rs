@@ -96,6 +96,7 @@ macro_rules! all_rules_on {
                 a_failing_endpoint_gets_one_message_at_a_time_and_holds_up_no_other
                 two_secrets_sign_for_a_day_after_one_is_replaced
                 endpoints_are_each_callers_own_bounded_and_forgotten_whole
+                what_one_job_wants_told_goes_where_it_says_and_is_a_matter_of_that_message_alone
                 deliveries_are_listed_by_state_and_forgotten_in_time
             }
         }

@@ -10,6 +10,7 @@ use crate::jobs::options::{OptionsReader, RigOptions};
 use crate::jobs::perform::{ModelInfo, Timing};
 use crate::jobs::stage::Stage;
 use crate::jobs::submission::Labels;
+use crate::jobs::webhooks::{JobWebhook, MessageType};
 use crate::storage::hex;
 use serde_json::{Map, Value, json};
 use std::time::Duration;
@@ -71,6 +72,23 @@ pub fn labels(labels: &Labels) -> Value {
 pub fn labels_from(value: &Value) -> Labels {
     let label = |(name, value): (&String, &Value)| Some((name.clone(), value.as_str()?.to_owned()));
     value.as_object().into_iter().flatten().filter_map(label).collect()
+}
+
+pub fn message_types(types: &[MessageType]) -> Value {
+    types.iter().map(|kind| kind.name()).collect()
+}
+
+/// Types of another version are passed over.
+pub fn message_types_from(value: &Value) -> Vec<MessageType> {
+    value.as_array().into_iter().flatten().filter_map(|name| MessageType::named(name.as_str()?)).collect()
+}
+
+pub fn webhook(webhook: &JobWebhook) -> Value {
+    json!({"url": webhook.url, "events": message_types(&webhook.events)})
+}
+
+pub fn webhook_from(value: &Value) -> Option<JobWebhook> {
+    Some(JobWebhook { url: value.get("url")?.as_str()?.to_owned(), events: message_types_from(value.get("events")?) })
 }
 
 /// Microseconds by stage.

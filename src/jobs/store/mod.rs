@@ -40,6 +40,7 @@ use super::options::RigOptions;
 use super::perform::Timing;
 use super::stage::Stage;
 use super::submission::{Caller, Labels, Missing, Priority};
+use super::webhooks::JobWebhook;
 use crate::storage::NewBlob;
 use async_trait::async_trait;
 use std::collections::BTreeSet;
@@ -96,6 +97,8 @@ pub struct NewJob {
     pub retention: Duration,
     pub client_id: Option<String>,
     pub idempotency_key: Option<String>,
+    /// Where it wants told what becomes of it.
+    pub webhook: Option<JobWebhook>,
     /// Digest of what is asked, beside the files.
     pub wish: [u8; 32],
     /// Digest of what decides the result, beside the files.

@@ -130,6 +130,7 @@ fn request(request: &JobRequest) -> Value {
         "retention_ms": request.retention.as_millis() as u64,
         "client_id": request.client_id,
         "skeleton_given": request.skeleton_given,
+        "webhook": request.webhook.as_ref().map(codec::webhook),
     })
 }
 
@@ -147,6 +148,7 @@ fn request_from(value: &Value) -> Result<JobRequest, StoreFailure> {
         retention: optional_duration(value, "retention_ms").ok_or_else(|| damaged("retention_ms"))?,
         client_id: text(value, "client_id").map(str::to_owned),
         skeleton_given: truth(value, "skeleton_given"),
+        webhook: value.get("webhook").and_then(codec::webhook_from),
     })
 }
 
@@ -186,6 +188,7 @@ mod tests {
     use crate::jobs::failure::{ErrorCode, JobError};
     use crate::jobs::job::{ArtifactInfo, FileInfo, JobResult, JobState};
     use crate::jobs::perform::Timing;
+    use crate::jobs::webhooks::{JobWebhook, MessageType};
     use std::time::UNIX_EPOCH;
 
     fn moment(seconds: u64) -> SystemTime {
@@ -230,6 +233,10 @@ mod tests {
                 retention: Duration::from_secs(60),
                 client_id: Some("hero-v3".to_owned()),
                 skeleton_given: true,
+                webhook: Some(JobWebhook {
+                    url: "https://a.example/".to_owned(),
+                    events: vec![MessageType::RigFailed],
+                }),
             }),
             queue_time: Some(Duration::from_millis(12)),
             timings: vec![Timing { stage: Stage::Skin, duration: Duration::from_millis(3) }],

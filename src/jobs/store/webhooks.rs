@@ -1,7 +1,7 @@
 //! Webhooks, as far as they are written down.
 //!
 //! 1. **Writing.** A message is written in the transaction that makes the change that it tells of, with one delivery for each
-//!    endpoint of the caller that is enabled and wants it.
+//!    endpoint of the caller that is enabled and wants it; where the job itself says where, one more.
 //! 2. **Taking.** [`WebhookStore::claim_deliveries`] gives what is due to one sender under a lease; one that is not heard of again
 //!    sends it to somebody else. The number of the attempt is the fencing token.
 //! 3. **Manners.** An endpoint gets [`TOGETHER`] messages at a time; one that fails, a single one, the oldest first. While some
@@ -12,7 +12,7 @@ use super::StoreFailure;
 use crate::jobs::ids::{EndpointId, MessageId};
 use crate::jobs::submission::Caller;
 use crate::jobs::webhooks::{
-    Delivery, DeliveryState, DueDelivery, Endpoint, EndpointChange, NewEndpoint, Secret, Tried, Verdict,
+    Delivery, DeliveryState, DueDelivery, Endpoint, EndpointChange, NewEndpoint, NewEndpointIs, Secret, Tried, Verdict,
 };
 use async_trait::async_trait;
 use std::time::Duration;
@@ -27,8 +27,7 @@ pub const ATTEMPTS_KEPT: usize = 32;
 /// Where endpoints and what they are told are written down. See the module for its rules.
 #[async_trait]
 pub trait WebhookStore: Send + Sync {
-    /// `None`: the caller has as many as one may have.
-    async fn create_endpoint(&self, new: NewEndpoint) -> Result<Option<Endpoint>, StoreFailure>;
+    async fn create_endpoint(&self, new: NewEndpoint) -> Result<NewEndpointIs, StoreFailure>;
 
     async fn endpoint(&self, caller: &Caller, id: EndpointId) -> Result<Option<Endpoint>, StoreFailure>;
 

@@ -10,7 +10,7 @@ use super::proto::rigsmith::v1::rig::State;
 use super::proto::rigsmith::v1::rig_event::{Done, Event as Happened, Progress, StateChange};
 use super::proto::rigsmith::v1::{
     Artifact, Asset, Finding, Model, Provenance, Rig, RigError, RigEvent, RigMetadata, RigOptions, RigResult,
-    StoredFile,
+    StoredFile, Webhook,
 };
 use super::status::rpc_status;
 use crate::jobs::{self, ArtifactInfo, Event, EventKind, FileInfo, Job, JobError, JobResult, JobState, Notice};
@@ -116,7 +116,7 @@ impl From<RequestView> for RigOptions {
     fn from(request: RequestView) -> Self {
         let RequestView { options, wishes } = request;
         let OptionsView { method, detail, bandwidth, symmetry, fingers, skin_method, boxes, skeleton, .. } = options;
-        let WishesView { priority, timeout_seconds, retention_hours, labels } = wishes;
+        let WishesView { priority, timeout_seconds, retention_hours, labels, webhook } = wishes;
         let text = |word: &str| Some(word.to_owned());
         Self {
             method: Some(method),
@@ -137,6 +137,10 @@ impl From<RequestView> for RigOptions {
             timeout_seconds: Some(timeout_seconds),
             retention_hours: Some(retention_hours),
             labels: labels.into_iter().collect(),
+            webhook: webhook.map(|webhook| Webhook {
+                url: webhook.url,
+                events: webhook.events.into_iter().map(str::to_owned).collect(),
+            }),
         }
     }
 }

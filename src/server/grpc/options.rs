@@ -9,9 +9,9 @@ use super::super::http::{idempotency, media};
 use super::super::orders::{self, Terms};
 use super::super::uploads::{self, asset_id};
 use super::proto::rigsmith::v1::mesh::Mesh as MeshIs;
-use super::proto::rigsmith::v1::{FetchedMesh, InlineMesh, Mesh, RigOptions};
+use super::proto::rigsmith::v1::{FetchedMesh, InlineMesh, Mesh, RigOptions, Webhook};
 use crate::jobs::Source;
-use serde_json::{Map, Value};
+use serde_json::{Map, Value, json};
 use std::time::SystemTime;
 
 /// A reader of the fields that are set, and their names.
@@ -47,6 +47,7 @@ fn given(options: RigOptions) -> Vec<(&'static str, Value)> {
         timeout_seconds,
         retention_hours,
         labels,
+        webhook,
     } = options;
     let outputs = if outputs.is_empty() { None } else { Some(Value::from(outputs)) };
     let labels = labels.into_iter().map(|(name, value)| (name, Value::from(value))).collect::<Map<_, _>>();
@@ -70,8 +71,16 @@ fn given(options: RigOptions) -> Vec<(&'static str, Value)> {
         ("timeout_seconds", timeout_seconds.map(Value::from)),
         ("retention_hours", retention_hours.map(Value::from)),
         ("labels", labels),
+        ("webhook", webhook.map(told)),
     ];
     fields.into_iter().filter_map(|(name, value)| Some((name, value?))).collect()
+}
+
+/// Where a job wants told what becomes of it, as REST has it.
+fn told(webhook: Webhook) -> Value {
+    let Webhook { url, events } = webhook;
+    let events = if events.is_empty() { Value::Null } else { Value::from(events) };
+    json!({"url": url, "events": events})
 }
 
 /// JSON has no word for what is not finite, and would take it for "not given"; as text it is refused.

@@ -3,7 +3,9 @@
 //! Defaults stand in the texts alone: generated clients send a parameter that has a `default` always, and then it contradicts
 //! the same field of the body.
 
-use super::words::{BoxesName, ExistingRigName, FingersName, OutputName, PriorityName, SkinMethodName, SymmetryName};
+use super::words::{
+    BoxesName, ExistingRigName, FingersName, OutputName, PriorityName, RigEventName, SkinMethodName, SymmetryName,
+};
 use crate::jobs::options::{axis_name, skin_method_name};
 use crate::jobs::{JobRequest, LevelOfDetail, RigOptions};
 use serde::Serialize;
@@ -91,6 +93,21 @@ pub struct WishesView {
     /// Words of your own, to find it by; 16 at most.
     #[schema(example = json!({"project": "knights"}), required = false)]
     pub labels: BTreeMap<String, String>,
+    /// Where you want told what becomes of this rig, beside your webhook endpoints.
+    #[schema(example = json!(null), required = false)]
+    pub webhook: Option<JobWebhookView>,
+}
+
+/// Where you want told what becomes of one rig. Signed with the secret of your webhook endpoint without `url`.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(as = RigWebhook)]
+pub struct JobWebhookView {
+    /// `https`, on the public internet.
+    #[schema(example = "https://studio.example/hooks/hero")]
+    pub url: String,
+    /// Everything that happens to it unless given.
+    #[schema(value_type = Vec<RigEventName>, required = false, example = json!(["rig.succeeded", "rig.failed"]))]
+    pub events: Vec<&'static str>,
 }
 
 /// The same as query parameters or fields of a form.
@@ -109,6 +126,9 @@ pub struct WishesParameters {
     /// Words of your own, to find it by: `name=value,name=value`.
     #[param(example = "project=knights")]
     pub labels: Option<String>,
+    /// Where you want told what becomes of this rig; in JSON, `events` says of what.
+    #[param(example = json!(null))]
+    pub webhook: Option<String>,
 }
 
 /// What was asked, defaults filled in.
@@ -209,6 +229,10 @@ impl From<&JobRequest> for WishesView {
             timeout_seconds: request.timeout.as_secs(),
             retention_hours: request.retention.as_secs().div_ceil(3600),
             labels: request.labels.clone(),
+            webhook: request.webhook.as_ref().map(|webhook| JobWebhookView {
+                url: webhook.url.clone(),
+                events: webhook.events.iter().map(|event| event.name()).collect(),
+            }),
         }
     }
 }

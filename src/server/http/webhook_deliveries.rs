@@ -29,6 +29,13 @@ pub(super) async fn test_endpoint(app: &App, identity: Identity, id: &str, uri: 
     query(uri, &[])?;
     let endpoint = find(app, &identity.caller, id).await?;
     way_out(app)?;
+    if endpoint.url.is_none() {
+        return Err(ApiError::new(
+            Code::Conflict,
+            "the endpoint is nowhere: requests say where what they want told goes",
+        )
+        .hint("send a request with webhook"));
+    }
     if !endpoint.enabled {
         return Err(ApiError::new(Code::Conflict, "the endpoint is disabled")
             .hint("PATCH it with {\"enabled\": true}, then test it"));

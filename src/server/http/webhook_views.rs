@@ -18,8 +18,9 @@ pub struct EndpointView {
     pub id: String,
     #[schema(example = "webhook_endpoint")]
     pub object: &'static str,
+    /// `null`: what requests want told by `webhook` is signed with its secret, and stands in its log.
     #[schema(example = "https://studio.example/hooks/rigs")]
-    pub url: String,
+    pub url: Option<String>,
     #[schema(example = "asset pipeline")]
     pub description: String,
     /// What it is told.
@@ -67,10 +68,10 @@ pub struct EndpointListView {
 #[derive(ToSchema)]
 #[schema(as = CreateWebhookEndpoint)]
 pub struct CreateEndpointView {
-    /// `https`, on the public internet.
-    #[schema(example = "https://studio.example/hooks/rigs")]
+    /// `https`, on the public internet. Left out in the one endpoint that signs what requests want told by `webhook`.
+    #[schema(required = false, example = "https://studio.example/hooks/rigs")]
     pub url: String,
-    /// Everything unless given.
+    /// Everything unless given; not without `url`.
     #[schema(required = false, value_type = Vec<EventName>, example = json!(["rig.succeeded", "rig.failed"]))]
     pub events: Vec<String>,
     /// A word of your own, of 256 bytes at most.

@@ -9,8 +9,8 @@ use super::receive;
 use super::segments::Segments;
 use super::webhook_deliveries::test_endpoint;
 use super::webhook_views::{ChangeEndpointView, CreateEndpointView, EndpointListView, EndpointView, endpoint_path};
-use crate::jobs::webhooks::{ENDPOINTS_MAX, Endpoint, EndpointChange, MessageType, NewEndpoint, Secret};
-use crate::jobs::{Caller, EndpointId, FieldError, FieldProblem};
+use crate::jobs::webhooks::{ENDPOINTS_MAX, Endpoint, EndpointChange, MessageType, NewEndpoint, NewEndpointIs, Secret};
+use crate::jobs::{Caller, EndpointId, FieldError, FieldProblem, JobWebhook};
 use crate::outgoing::Outgoing;
 use axum::Json;
 use axum::extract::{Request, State};
@@ -25,7 +25,8 @@ const CHANGE_FIELDS: &[&str] = &["url", "events", "description", "enabled"];
 /// Have a place told what happens.
 ///
 /// Your rigs and batches are told of by POST to `url`, signed as Standard Webhooks 1.0 has it with the `secret` that this answer
-/// shows, and no other. Only where the operator lets the service make requests.
+/// shows, and no other. Only where the operator lets the service make requests. An endpoint without `url`, of which you may have
+/// one, signs what single requests want told by `webhook`.
 #[utoipa::path(
     post, path = "/v1/webhook-endpoints", tag = "webhooks",
     params(
@@ -50,13 +51,13 @@ pub async fn create_endpoint(
     let outgoing = way_out(&app)?.clone();
     let members = receive::json_body(&app, request).await?;
     let EndpointChange { url, events, description, .. } = read(&members, NEW_FIELDS, Some(&outgoing))?;
-    let new = NewEndpoint {
-        caller: identity.caller,
-        url: url.ok_or_else(|| ApiError::field("url", "is missing: where are the messages to go?"))?,
-        description: description.unwrap_or_default(),
-        events: events.unwrap_or_else(|| MessageType::ALL.to_vec()),
-        secret: new_secret()?,
+    let events = match (&url, events) {
+        (Some(_), events) => events.unwrap_or_else(|| MessageType::ALL.to_vec()),
+        (None, None) => Vec::new(),
+        (None, Some(_)) => return Err(ApiError::field("events", "without url, requests say what they want told")),
     };
+    let description = description.unwrap_or_default();
+    let new = NewEndpoint { caller: identity.caller, url, description, events, secret: new_secret()? };
     let body = Value::from(members).to_string();
     // Detached: once the key is taken, the answer is remembered even if the caller hangs up.
     let made = tokio::spawn(async move { keep(&app, new, key, body.as_bytes()).await });
@@ -75,14 +76,23 @@ async fn keep(app: &App, new: NewEndpoint, key: Option<String>, body: &[u8]) -> 
     }
     let made = app.jobs.create_endpoint(new).await;
     if let Some(key) = &key {
-        let id = made.as_ref().ok().and_then(Option::as_ref).map(|endpoint| endpoint.id.to_string());
+        let id = match &made {
+            Ok(NewEndpointIs::Made(endpoint)) => Some(endpoint.id.to_string()),
+            _ => None,
+        };
         app.jobs.remember(&caller, key, id.as_deref().map(str::as_bytes)).await?;
     }
-    let endpoint = made?.ok_or_else(|| {
-        ApiError::new(Code::Conflict, format!("you have {ENDPOINTS_MAX} endpoints, and no more may be"))
-            .hint("delete one, or let one hear more events")
-    })?;
-    created(&endpoint)
+    match made? {
+        NewEndpointIs::Made(endpoint) => created(&endpoint),
+        NewEndpointIs::TooMany => {
+            let detail = format!("you have {ENDPOINTS_MAX} endpoints, and no more may be");
+            Err(ApiError::new(Code::Conflict, detail).hint("delete one, or let one hear more events"))
+        }
+        NewEndpointIs::Second(first) => {
+            let detail = format!("you have an endpoint without url already: {first}");
+            Err(ApiError::new(Code::Conflict, detail).hint("POST to {id}:rotate-secret shows a new secret of it"))
+        }
+    }
 }
 
 fn created(endpoint: &Endpoint) -> Result<Response, ApiError> {
@@ -104,6 +114,20 @@ pub fn way_out(app: &App) -> Result<&Outgoing, ApiError> {
     })
 }
 
+/// Refuses what one job wants told when it cannot be: where it is to go, or who is to sign it.
+pub async fn admit(app: &App, caller: &Caller, webhook: &JobWebhook) -> Result<(), ApiError> {
+    let url = url(&Value::from(webhook.url.as_str()), app.outgoing.as_ref());
+    url.map_err(|detail| ApiError::field("webhook.url", detail))?;
+    if app.jobs.endpoints(caller).await?.iter().any(|endpoint| endpoint.url.is_none() && endpoint.enabled) {
+        return Ok(());
+    }
+    Err(ApiError::new(
+        Code::Conflict,
+        "webhook: there is no endpoint yet whose secret signs what single requests want told",
+    )
+    .hint("POST {} to /v1/webhook-endpoints once, and keep the secret that the answer shows"))
+}
+
 /// What a request says of an endpoint. All that is wrong with it is told at once.
 fn read(members: &Map<String, Value>, known: &[&str], outgoing: Option<&Outgoing>) -> Result<EndpointChange, ApiError> {
     let mut errors = Vec::new();
@@ -118,7 +142,7 @@ fn read(members: &Map<String, Value>, known: &[&str], outgoing: Option<&Outgoing
         }
         let read = match name.as_str() {
             "url" => url(value, outgoing).map(|url| change.url = Some(url)),
-            "events" => events(value).map(|events| change.events = Some(events)),
+            "events" => events(value, &MessageType::ALL).map(|events| change.events = Some(events)),
             "description" => description(value).map(|description| change.description = Some(description)),
             _ => truth(value).map(|enabled| change.enabled = Some(enabled)),
         };
@@ -136,13 +160,13 @@ fn url(value: &Value, outgoing: Option<&Outgoing>) -> Result<String, String> {
     Ok(text.to_owned())
 }
 
-fn events(value: &Value) -> Result<Vec<MessageType>, String> {
-    let names = || MessageType::ALL.map(MessageType::name).join(", ");
+pub fn events(value: &Value, known: &[MessageType]) -> Result<Vec<MessageType>, String> {
+    let names = || known.iter().map(|event| event.name()).collect::<Vec<_>>().join(", ");
     let given = value.as_array().filter(|given| !given.is_empty());
     let given = given.ok_or_else(|| format!("is not a list of one or more of {}", names()))?;
     let mut events = Vec::new();
     for name in given {
-        let event = name.as_str().and_then(MessageType::named);
+        let event = name.as_str().and_then(MessageType::named).filter(|event| known.contains(event));
         let event = event.ok_or_else(|| {
             let name: String = name.to_string().chars().take(60).collect();
             format!("{name} is not one of {}", names())
@@ -228,9 +252,13 @@ pub async fn change_endpoint(
     request: Request,
 ) -> Result<Json<EndpointView>, ApiError> {
     query(request.uri(), &[])?;
-    let id = find(&app, &identity.caller, &id).await?.id;
+    let endpoint = find(&app, &identity.caller, &id).await?;
     let change = read(&receive::json_body(&app, request).await?, CHANGE_FIELDS, app.outgoing.as_ref())?;
-    let endpoint = app.jobs.change_endpoint(&identity.caller, id, change).await?.ok_or_else(missing)?;
+    if endpoint.url.is_none() && (change.url.is_some() || change.events.is_some()) {
+        return Err(ApiError::new(Code::Conflict, "this endpoint is for what requests want told by webhook")
+            .hint("make another endpoint for a url of its own"));
+    }
+    let endpoint = app.jobs.change_endpoint(&identity.caller, endpoint.id, change).await?.ok_or_else(missing)?;
     Ok(Json(EndpointView::from(&endpoint)))
 }
 

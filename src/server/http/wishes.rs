@@ -2,9 +2,11 @@
 //! for query parameters, form fields and JSON.
 
 use super::error::ApiError;
+use super::webhooks;
 use crate::config::nearest;
-use crate::jobs::{FieldError, FieldProblem, Labels, OptionsReader, Priority, RigOptions, Settings};
-use serde_json::Value;
+use crate::jobs::webhooks::MessageType;
+use crate::jobs::{FieldError, FieldProblem, JobWebhook, Labels, OptionsReader, Priority, RigOptions, Settings};
+use serde_json::{Value, json};
 use std::time::Duration;
 
 /// Everything that a create request says.
@@ -15,10 +17,11 @@ pub struct Wishes {
     pub labels: Labels,
     pub timeout: Option<Duration>,
     pub retention: Option<Duration>,
+    pub webhook: Option<JobWebhook>,
 }
 
 /// Fields of the job, beside those of [`OptionsReader::FIELDS`].
-pub const JOB_FIELDS: &[&str] = &["priority", "timeout_seconds", "retention_hours", "labels"];
+pub const JOB_FIELDS: &[&str] = &["priority", "timeout_seconds", "retention_hours", "labels", "webhook"];
 const LABELS_MAX: usize = 16;
 const LABEL_NAME_MAX: usize = 64;
 const LABEL_VALUE_MAX: usize = 256;
@@ -39,7 +42,6 @@ const NOT_HERE: &[(&str, &str)] = &[
     ("animation", "no clip is made"),
     ("fallback", "a method that fails says so; ask for another one then"),
     ("expert", "bandwidth is a field of its own"),
-    ("webhook", "follow links.events, or ask with Prefer: wait"),
 ];
 
 /// Collects fields from any number of places, then gives the wishes or every refusal at once.
@@ -50,16 +52,18 @@ pub struct WishesReader {
     timeout: Option<u64>,
     retention: Option<u64>,
     labels: Option<Labels>,
+    webhook: Option<JobWebhook>,
     errors: Vec<FieldError>,
 }
 
 impl WishesReader {
-    /// A field as text; `labels` are `name=value,name=value`.
+    /// A field as text; `labels` are `name=value,name=value`, a `webhook` is its URL.
     pub fn text(&mut self, field: &str, text: &str) {
         if JOB_FIELDS.contains(&field) {
             let value = match field {
                 "labels" => labels_of_text(text),
                 "priority" => Ok(Value::from(text.trim())),
+                "webhook" => Ok(json!({"url": text.trim()})),
                 _ => Ok(text.trim().parse::<u64>().map_or_else(|_| Value::from(text), Value::from)),
             };
             match value {
@@ -104,6 +108,7 @@ impl WishesReader {
             "priority" => self.priority.is_some(),
             "timeout_seconds" => self.timeout.is_some(),
             "retention_hours" => self.retention.is_some(),
+            "webhook" => self.webhook.is_some(),
             _ => self.labels.is_some(),
         };
         if twice {
@@ -113,6 +118,7 @@ impl WishesReader {
             "priority" => priority(value).map(|priority| self.priority = Some(priority)),
             "timeout_seconds" => whole(value).map(|seconds| self.timeout = Some(seconds)),
             "retention_hours" => whole(value).map(|hours| self.retention = Some(hours)),
+            "webhook" => webhook(value).map(|webhook| self.webhook = Some(webhook)),
             _ => labels(value).map(|labels| self.labels = Some(labels)),
         };
         if let Err(detail) = read {
@@ -139,7 +145,7 @@ impl WishesReader {
                 );
             }
         }
-        let Self { options, priority, timeout, retention, labels, mut errors } = self;
+        let Self { options, priority, timeout, retention, labels, webhook, mut errors } = self;
         let options = options.finish().unwrap_or_else(|refused| {
             errors.extend(refused);
             RigOptions::default()
@@ -153,6 +159,7 @@ impl WishesReader {
             labels: labels.unwrap_or_default(),
             timeout: timeout.map(Duration::from_secs),
             retention: retention.map(|hours| Duration::from_secs(hours * 3600).min(settings.keep_time)),
+            webhook,
         })
     }
 }
@@ -193,6 +200,20 @@ pub fn label(name: &str, value: &str) -> Result<(String, String), String> {
     Ok((name.to_owned(), value.to_owned()))
 }
 
+/// Where it may go is asked when the job is ordered.
+fn webhook(value: &Value) -> Result<JobWebhook, String> {
+    let members = value.as_object().ok_or_else(|| format!("{} is not an object with url and events", shown(value)))?;
+    if let Some(other) = members.keys().find(|name| !["url", "events"].contains(&name.as_str())) {
+        return Err(format!("has no {other:?}; there are url and events"));
+    }
+    let url = members.get("url").and_then(Value::as_str).ok_or("has no url that is a text")?;
+    let events = match members.get("events") {
+        None | Some(Value::Null) => MessageType::OF_RIGS.to_vec(),
+        Some(given) => webhooks::events(given, &MessageType::OF_RIGS).map_err(|detail| format!("events: {detail}"))?,
+    };
+    Ok(JobWebhook { url: url.to_owned(), events })
+}
+
 fn labels_of_text(text: &str) -> Result<Value, String> {
     let pairs = text.split(',').map(str::trim).filter(|pair| !pair.is_empty()).map(|pair| {
         let (name, value) = pair.split_once('=').ok_or_else(|| format!("{pair:?} is not name=value"))?;
@@ -208,7 +229,6 @@ fn shown(value: &Value) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use serde_json::json;
 
     fn read(fields: &[(&str, Value)]) -> Result<Wishes, ApiError> {
         let mut reader = WishesReader::default();
@@ -224,6 +244,7 @@ mod tests {
             ("timeout_seconds", "20"),
             ("retention_hours", "2"),
             ("labels", "a=b, c=d=e"),
+            ("webhook", " https://a.example/ "),
             ("detail", "1"),
         ] {
             reader.text(field, text);
@@ -234,6 +255,7 @@ mod tests {
             ("timeout_seconds", json!(20)),
             ("retention_hours", json!(2)),
             ("labels", json!({"a": "b", "c": "d=e"})),
+            ("webhook", json!({"url": "https://a.example/"})),
             ("detail", json!(1)),
         ])
         .expect("reads");
@@ -241,6 +263,8 @@ mod tests {
             assert_eq!((wishes.priority, wishes.timeout), (Priority::Low, Some(Duration::from_secs(20))));
             assert_eq!(wishes.retention, Some(Duration::from_secs(7200)));
             assert_eq!(wishes.labels.get("c").map(String::as_str), Some("d=e"));
+            let webhook = JobWebhook { url: "https://a.example/".to_owned(), events: MessageType::OF_RIGS.to_vec() };
+            assert_eq!(wishes.webhook, Some(webhook));
         }
         assert_eq!(from_text.options, from_json.options);
     }
@@ -255,7 +279,11 @@ mod tests {
             ("labels", json!(["a"])),
             ("labels", json!({"a b": "c"})),
             ("labels", json!({"a": 1})),
-            ("webhook", json!({"url": "https://example.com"})),
+            ("webhook", json!("https://example.com")),
+            ("webhook", json!({"events": ["rig.failed"]})),
+            ("webhook", json!({"url": "https://example.com", "events": []})),
+            ("webhook", json!({"url": "https://example.com", "events": ["batch.completed"]})),
+            ("webhook", json!({"url": "https://example.com", "secret": "x"})),
             ("colour", json!("red")),
         ] {
             assert!(read(&[(field, value.clone())]).is_err(), "{field} {value}");

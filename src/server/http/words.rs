@@ -33,6 +33,7 @@ macro_rules! words {
 words! {
     StateName as "RigState", "`expired`: succeeded once, and the results are gone.": JobState::ALL.map(JobState::name);
     EventName as "WebhookEvent", "What a webhook endpoint may be told.": MessageType::ALL.map(MessageType::name);
+    RigEventName as "RigWebhookEvent", "What may be told of one rig.": MessageType::OF_RIGS.map(MessageType::name);
     MessageTypeName as "WebhookType", "What a webhook tells; `webhook.test` only when it was asked for.":
         MessageType::ALL.into_iter().chain([MessageType::Test]).map(MessageType::name);
     DeliveryStateName as "WebhookDeliveryState", "`failed`: given up.": DeliveryState::ALL.map(DeliveryState::name);

@@ -4,9 +4,11 @@ use super::asks::{Ask, Create, Door, Mesh, Over, Said, create, script};
 use crate::http::scripted::{Service, request};
 use crate::http::socket::start;
 use rigsmith::jobs::Readiness;
+use rigsmith::outgoing::{Outgoing, SystemNames};
 use rigsmith::server::app;
 use rigsmith::server::keys::{self, Keys, OwnQuota, Quota};
 use serde_json::{Value, json};
+use std::sync::Arc;
 
 const SKELETON: &str =
     r#"{"format": "rigsmith.rig/1", "joints": [{"name": "hips", "parent": null, "position": [0, 1, 0]}]}"#;
@@ -114,6 +116,11 @@ async fn orders_give_the_same_rigs_and_refusals() {
                 "invalid_parameter",
             ),
             (order("ok", json!({"skeleton": "{}"})), "invalid_parameter"),
+            (order("ok", json!({"webhook": {"url": "https://example.com/"}})), "invalid_parameter"),
+            (
+                order("ok", json!({"webhook": {"url": "https://example.com/", "events": ["rig.exploded"]}})),
+                "invalid_parameter",
+            ),
             (order("ok", json!({"method": "magic"})), "invalid_parameter"),
             (order("ok", json!({"method": "volumetric_nets"})), "model_unavailable"),
             (inline("model/obj", b""), "unreadable_mesh"),
@@ -163,6 +170,30 @@ async fn batches_give_the_same_results_and_refusals() {
         ]
     })
     .await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_one_rig_wants_told_is_taken_alike() {
+    let mut said = Vec::new();
+    for over in [Over::Rest, Over::Grpc] {
+        let mut service = Service::new();
+        let outgoing = Outgoing::new(Arc::new(SystemNames), &[]).expect("a client");
+        service.state = service.state.clone().with_outgoing(outgoing);
+        service.router = app(service.state.clone());
+        let door = Door { service: &service, key: None, over };
+        let order = |url: &str| Ask::Create(create("ok", json!({"webhook": {"url": url, "events": ["rig.failed"]}})));
+        let unsigned = door.ask(order("https://example.com/")).await;
+        assert_eq!(unsigned.code(), "conflict", "nobody has a secret yet");
+        let signs = request("POST", "/v1/webhook-endpoints", &[("content-type", "application/json")], "{}");
+        assert_eq!(service.send(signs).await.status, 201);
+        let inside = door.ask(order("https://10.0.0.1/")).await;
+        assert_eq!(inside.code(), "invalid_parameter");
+        let taken = door.ask(order("https://example.com/")).await;
+        let Said::Fine(rig) = &taken else { panic!("{taken:?}") };
+        assert_eq!(rig["request"]["webhook"], json!({"url": "https://example.com/", "events": ["rig.failed"]}));
+        said.push([unsigned, inside, taken]);
+    }
+    assert_eq!(said[0], said[1]);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

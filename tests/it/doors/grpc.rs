@@ -224,6 +224,12 @@ fn options(members: &Value) -> RigOptions {
                 options.labels =
                     labels.map(|(name, value)| (name.clone(), value.as_str().expect("a text").to_owned())).collect();
             }
+            "webhook" => {
+                let url = value["url"].as_str().expect("a url").to_owned();
+                let events = value["events"].as_array().into_iter().flatten();
+                let events = events.map(|name| name.as_str().expect("a text").to_owned()).collect();
+                options.webhook = Some(proto::Webhook { url, events });
+            }
             other => panic!("the table has no field {other}"),
         }
     }
@@ -275,6 +281,7 @@ pub fn rig_json(rig: Rig) -> Value {
             "seed": wanted.seed, "up": wanted.up, "front": wanted.front, "existing_rig": wanted.existing_rig,
             "outputs": wanted.outputs, "priority": wanted.priority, "timeout_seconds": wanted.timeout_seconds,
             "retention_hours": wanted.retention_hours, "labels": wanted.labels,
+            "webhook": wanted.webhook.map(|webhook| json!({"url": webhook.url, "events": webhook.events})),
         },
         "client_id": text(rig.client_id),
         "asset": text(rig.asset),

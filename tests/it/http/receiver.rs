@@ -91,7 +91,7 @@ impl Receiver {
         self.seen.received.lock().expect("not poisoned").clone()
     }
 
-    /// Waits until `count` messages have come, and makes sure that no more are under way.
+    /// Waits until `count` messages have come; more must not have.
     pub async fn has(&self, count: usize) -> Vec<Received> {
         for _ in 0..1000 {
             if self.received().len() >= count {

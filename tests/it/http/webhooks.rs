@@ -252,6 +252,51 @@ async fn a_secret_is_shown_when_it_is_made_and_both_sign_while_it_is_replaced() 
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn one_rig_is_told_of_where_its_request_says() {
+    let receiver = Receiver::start().await;
+    let (service, _, _running) = running().await;
+    let url = receiver.url();
+    let rig = async |query: &str| service.rig(query, &[("prefer", "wait=10")], "ok").await;
+    let query = format!("?webhook={url}");
+    let problem = rig(&query).await.refused(409, "conflict");
+    assert!(problem["hint"].as_str().is_some_and(|hint| hint.contains("/v1/webhook-endpoints")), "{problem:#}");
+    let made = post(&service, ENDPOINTS, json!({})).await;
+    assert_eq!((made.status.as_u16(), &made.json()["url"], &made.json()["events"]), (201, &Value::Null, &json!([])));
+    let made = made.json();
+    let problem = rig("?webhook=https://10.0.0.1/").await.refused(400, "invalid_parameter");
+    assert_eq!(problem["errors"][0]["field"], "webhook.url", "{problem:#}");
+    let job = rig(&query).await.json();
+    let all = json!(["rig.started", "rig.succeeded", "rig.failed", "rig.canceled"]);
+    assert_eq!(job["request"]["webhook"], json!({"url": url, "events": all}));
+    rig("").await;
+    let mut received = receiver.has(2).await;
+    received.sort_by_key(|message| message.header("webhook-id").to_owned());
+    for (message, kind) in received.iter().zip(["rig.started", "rig.succeeded"]) {
+        assert_eq!((&message.json()["type"], &message.json()["data"]["id"]), (&json!(kind), &job["id"]));
+        assert!(message.is_signed_by(made["secret"].as_str().expect("a secret")));
+    }
+    assert_eq!(tried(&service, &made, 1).await["state"], "delivered", "it stands in the log of what signs it");
+    // Items of batches and reskinned rigs say so too.
+    let asset = service.send(request("POST", "/v1/assets", &[("content-type", "model/obj")], "ok")).await.json();
+    let wanted = json!({"asset": asset["id"], "webhook": {"url": url, "events": ["rig.succeeded"]}});
+    let batch = json!({"items": [{"custom_id": "a", "request": wanted}]});
+    assert_eq!(post(&service, "/v1/batches", batch).await.status, 202);
+    receiver.has(3).await;
+    let skeleton =
+        r#"{"format": "rigsmith.rig/1", "joints": [{"name": "hips", "parent": null, "position": [0, 1, 0]}]}"#;
+    let reskin = format!("/v1/rigs/{}:reskin?webhook={url}", job["id"].as_str().expect("an id"));
+    let reskinned = service.send(request("POST", &reskin, &[JSON], skeleton)).await;
+    assert_eq!(reskinned.status, 202, "{}", reskinned.text());
+    receiver.has(5).await;
+    // It is there for that, and for nothing else.
+    post(&service, ENDPOINTS, json!({})).await.refused(409, "conflict");
+    post(&service, &format!("{}:test", path(&made)), json!({})).await.refused(409, "conflict");
+    for change in [json!({"url": url}), json!({"events": ["rig.failed"]})] {
+        service.send(request("PATCH", path(&made), &[JSON], &change.to_string())).await.refused(409, "conflict");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn what_leads_inside_is_refused_when_it_is_said_or_when_it_is_sent() {
     let (service, _, _running) = running().await;
     for url in ["https://10.1.2.3/", "https://[::1]/", "http://example.com/", "ftp://hooks.test/", "hooks", ""] {
@@ -280,7 +325,7 @@ async fn without_the_operators_word_nothing_is_sent() {
 async fn endpoints_are_made_changed_listed_and_deleted_as_they_are_described() {
     let (service, _) = sending().await;
     for (body, field) in [
-        (json!({}), "url"),
+        (json!({"events": ["rig.failed"]}), "events"),
         (json!({"url": 5}), "url"),
         (json!({"url": "https://a.example/", "events": []}), "events"),
         (json!({"url": "https://a.example/", "events": ["rig.exploded"]}), "events"),

@@ -102,6 +102,7 @@ impl Bench {
             retention: DAY,
             client_id: None,
             idempotency_key: None,
+            webhook: None,
             wish: [1; 32],
             recipe: [2; 32],
             use_cache: true,

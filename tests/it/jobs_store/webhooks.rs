@@ -2,24 +2,39 @@
 
 use super::engines::{Bench, DAY, alice, bob};
 use rigsmith::jobs::store::webhooks::{DELIVERY_LEASE, TOGETHER};
-use rigsmith::jobs::store::{EndedWithout, Ending, LEASE};
+use rigsmith::jobs::store::{EndedWithout, Ending, LEASE, NewJob};
 use rigsmith::jobs::webhooks::{
-    Delivery, DeliveryState, DueDelivery, ENDPOINTS_MAX, Endpoint, EndpointChange, KEEP_TIME, MessageType, NewEndpoint,
-    REST, ROTATION_TIME, SCHEDULE, Secret, Subject, Tried, Verdict,
+    Delivery, DeliveryState, DueDelivery, ENDPOINTS_MAX, Endpoint, EndpointChange, JobWebhook, KEEP_TIME, MessageType,
+    NewEndpoint, NewEndpointIs, REST, ROTATION_TIME, SCHEDULE, Secret, Subject, Tried, Verdict,
 };
 use rigsmith::jobs::{Caller, EndpointId, JobState, MessageId, NewBatch, NewItem, Settled};
 use std::collections::BTreeSet;
 use std::time::{Duration, SystemTime};
 
-async fn endpoint(bench: &Bench, caller: Caller, events: &[MessageType]) -> Endpoint {
+async fn make(bench: &Bench, caller: Caller, url: Option<&str>, events: &[MessageType]) -> NewEndpointIs {
     let new = NewEndpoint {
         caller,
-        url: "https://studio.example/hooks".to_owned(),
+        url: url.map(str::to_owned),
         description: String::new(),
         events: events.to_vec(),
         secret: Secret::new().expect("random bytes"),
     };
-    bench.store.create_endpoint(new).await.expect("answers").expect("there is room")
+    bench.store.create_endpoint(new).await.expect("answers")
+}
+
+async fn endpoint(bench: &Bench, caller: Caller, events: &[MessageType]) -> Endpoint {
+    match make(bench, caller, Some("https://studio.example/hooks"), events).await {
+        NewEndpointIs::Made(endpoint) => endpoint,
+        other => panic!("not made: {other:?}"),
+    }
+}
+
+/// The endpoint of what single jobs want told.
+async fn of_jobs(bench: &Bench, caller: Caller) -> Endpoint {
+    match make(bench, caller, None, &[]).await {
+        NewEndpointIs::Made(endpoint) => endpoint,
+        other => panic!("not made: {other:?}"),
+    }
 }
 
 async fn everything(bench: &Bench) -> Endpoint {
@@ -319,19 +334,68 @@ pub async fn two_secrets_sign_for_a_day_after_one_is_replaced(bench: &Bench) {
     assert_eq!(foreign, None);
 }
 
+pub async fn what_one_job_wants_told_goes_where_it_says_and_is_a_matter_of_that_message_alone(bench: &Bench) {
+    let signs = of_jobs(bench, alice()).await;
+    let usual = endpoint(bench, alice(), &[MessageType::RigSucceeded]).await;
+    of_jobs(bench, bob()).await;
+    assert_eq!(make(bench, alice(), None, &[]).await, NewEndpointIs::Second(signs.id));
+    let told_at = |path: &str, events: &[MessageType]| {
+        Some(JobWebhook { url: format!("https://one.example/{path}"), events: events.to_vec() })
+    };
+    let ended = [MessageType::RigSucceeded, MessageType::RigFailed];
+    bench.add(NewJob { webhook: told_at("a", &ended), ..bench.new_job("a") }).await;
+    let taken = bench.take().await;
+    assert_eq!(taken.job.request.webhook, told_at("a", &ended), "it is told with the job");
+    bench.finish(&taken, bench.good("made")).await;
+    let places = |due: &[DueDelivery]| {
+        let mut places: Vec<_> =
+            due.iter().map(|due| (due.endpoint, due.url.clone(), due.secrets[0].clone())).collect();
+        places.sort_by_key(|(endpoint, url, _)| (*endpoint, url.clone()));
+        places
+    };
+    let due = claim(bench).await;
+    let expected = [
+        (signs.id, "https://one.example/a".to_owned(), signs.secret.clone()),
+        (usual.id, "https://studio.example/hooks".to_owned(), usual.secret.clone()),
+    ];
+    assert_eq!(places(&due), expected);
+    assert_eq!(due[0].message.id, due[1].message.id, "one message");
+    let (own, other) =
+        (due.iter().find(|due| due.endpoint == signs.id), due.iter().find(|due| due.endpoint == usual.id));
+    note(bench, other.expect("is there"), answer(200)).await;
+    // Whatever that place answers, the messages of other jobs go to theirs.
+    assert_eq!(note(bench, own.expect("is there"), answer(410)).await, Some(Verdict::Gone));
+    let seen = bench.store.endpoint(&alice(), signs.id).await.expect("answers").expect("is there");
+    assert!(seen.enabled && seen.failing_since.is_none());
+    for (content, path) in [("b", "overloaded"), ("c", "another")] {
+        bench.add(NewJob { webhook: told_at(path, &ended), ..bench.new_job(content) }).await;
+        let taken = bench.take().await;
+        bench.finish(&taken, bench.failed()).await;
+        let due = only(bench).await;
+        assert_eq!(due.url, format!("https://one.example/{path}"));
+        note(bench, &due, Tried { retry_after: Some(DAY), ..answer(503) }).await;
+    }
+    bench.add(NewJob { webhook: told_at("d", &[MessageType::RigCanceled]), ..bench.new_job("d") }).await;
+    let taken = bench.take().await;
+    bench.finish(&taken, bench.failed()).await;
+    assert!(claim(bench).await.is_empty(), "it asked for something else");
+    // A deleted endpoint takes what it signs with it.
+    bench.store.delete_endpoint(&alice(), signs.id).await.expect("answers");
+    bench.add(NewJob { webhook: told_at("e", &ended), ..bench.new_job("e") }).await;
+    let taken = bench.take().await;
+    bench.finish(&taken, bench.failed()).await;
+    bench.advance(2 * DAY);
+    assert!(claim(bench).await.is_empty());
+}
+
 pub async fn endpoints_are_each_callers_own_bounded_and_forgotten_whole(bench: &Bench) {
     let first = everything(bench).await;
     for _ in 1..ENDPOINTS_MAX {
         everything(bench).await;
     }
-    let new = NewEndpoint {
-        caller: alice(),
-        url: first.url.clone(),
-        description: String::new(),
-        events: first.events.clone(),
-        secret: first.secret.clone(),
-    };
-    assert_eq!(bench.store.create_endpoint(new).await.expect("answers"), None, "one more than there may be");
+    for url in [Some("https://studio.example/"), None] {
+        assert_eq!(make(bench, alice(), url, &MessageType::ALL).await, NewEndpointIs::TooMany);
+    }
     let listed = bench.second.endpoints(&alice()).await.expect("answers");
     assert_eq!((listed.len(), &listed[0]), (ENDPOINTS_MAX, &first));
     assert_eq!(bench.store.endpoints(&bob()).await.expect("answers"), []);
@@ -345,7 +409,7 @@ pub async fn endpoints_are_each_callers_own_bounded_and_forgotten_whole(bench: &
     let denied = bench.store.change_endpoint(&bob(), first.id, change.clone()).await.expect("answers");
     assert_eq!(denied, None);
     let changed = bench.store.change_endpoint(&alice(), first.id, change).await.expect("answers").expect("is there");
-    assert_eq!((changed.url.as_str(), changed.description.as_str()), ("https://elsewhere.example/", "moved"));
+    assert_eq!((changed.url.as_deref(), changed.description.as_str()), (Some("https://elsewhere.example/"), "moved"));
     assert_eq!((changed.events, changed.enabled), (vec![MessageType::RigFailed], true));
     test(bench, &first).await;
     let due = only(bench).await;

@@ -174,8 +174,8 @@ async fn insert(
     now: Timestamp,
 ) -> Result<(), StoreFailure> {
     sql("INSERT INTO jobs (id, caller, client_id, options, labels, files, skeleton, asset, priority, timeout_ms, \
-         retention_ms, deadline_at, memory_bytes, state, created_at, queued_at, fingerprint, cache_key) \
-         VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, $13, 'queued', $14, $15, $16, $17)")
+         retention_ms, deadline_at, memory_bytes, state, created_at, queued_at, fingerprint, cache_key, webhook) \
+         VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, $13, 'queued', $14, $15, $16, $17, $18)")
     .bind(id.to_bytes())
     .bind(new.caller.name())
     .bind(new.client_id.as_deref())
@@ -193,6 +193,7 @@ async fn insert(
     .bind(now.0)
     .bind(*fingerprint)
     .bind(*cache_key)
+    .bind(new.webhook.as_ref().map(|webhook| codec::webhook(webhook).to_string()))
     .execute(connection)
     .await?;
     for (name, value) in &new.labels {

@@ -79,12 +79,13 @@ async fn whole(
     attempt: u32,
     now: Timestamp,
 ) -> Result<DueDelivery, StoreFailure> {
-    let row = sql("SELECT m.type, m.at, m.subject, e.url, e.secret, \
+    let row = sql("SELECT m.type, m.at, m.subject, e.secret, coalesce(d.url, e.url) AS url, d.url AS own_url, \
          CASE WHEN e.previous_until > $1 THEN e.previous_secret END AS previous_secret \
-         FROM webhook_messages m, webhook_endpoints e WHERE m.id = $2 AND e.id = $3")
+         FROM webhook_deliveries d JOIN webhook_messages m ON m.id = d.message \
+         JOIN webhook_endpoints e ON e.id = d.endpoint WHERE d.endpoint = $2 AND d.message = $3")
     .bind(now.0)
-    .bind(message.to_bytes())
     .bind(endpoint.to_bytes())
+    .bind(message.to_bytes())
     .one(connection)
     .await?;
     let newest = Some(row.get::<&[u8]>("secret")?);
@@ -99,6 +100,7 @@ async fn whole(
         endpoint,
         attempt,
         url: row.get("url")?,
+        of_one_job: row.get::<Option<&str>>("own_url")?.is_some(),
         secrets: secrets
             .map(|bytes| Ok(Secret::from_bytes(rows::bytes(bytes)?)))
             .collect::<Result<_, StoreFailure>>()?,
@@ -166,7 +168,9 @@ pub async fn note<C: Connection>(
         Verdict::GivenUp | Verdict::Gone => end(connection, key, DeliveryState::Failed).await?,
         Verdict::Again(time) => again(connection, key, now.after(time)).await?,
     }
-    note_on_endpoint(connection, due.endpoint, tried, verdict, now).await?;
+    if !due.of_one_job {
+        note_on_endpoint(connection, due.endpoint, tried, verdict, now).await?;
+    }
     Ok(Some(verdict))
 }
 
@@ -314,5 +318,5 @@ pub async fn test(
     endpoint: EndpointId,
     now: Timestamp,
 ) -> Result<MessageId, StoreFailure> {
-    messages::write(connection, MessageType::Test, &Subject::Endpoint(endpoint), &[endpoint], now).await
+    messages::write(connection, MessageType::Test, &Subject::Endpoint(endpoint), &[(endpoint, None)], now).await
 }

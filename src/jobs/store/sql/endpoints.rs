@@ -1,12 +1,13 @@
 //! Endpoints: who is to be told what, and where.
 
-use super::{Columns, Connection, Lock, int, rows, sql};
+use super::{Columns, Connection, Lock, rows, sql};
 use crate::jobs::clock::Timestamp;
 use crate::jobs::ids::EndpointId;
 use crate::jobs::store::{StoreFailure, codec};
 use crate::jobs::submission::Caller;
-use crate::jobs::webhooks::{ENDPOINTS_MAX, Endpoint, EndpointChange, MessageType, NewEndpoint, ROTATION_TIME, Secret};
-use serde_json::Value;
+use crate::jobs::webhooks::{
+    ENDPOINTS_MAX, Endpoint, EndpointChange, MessageType, NewEndpoint, NewEndpointIs, ROTATION_TIME, Secret,
+};
 use sqlx::AssertSqlSafe;
 use std::time::SystemTime;
 
@@ -17,29 +18,30 @@ pub async fn create(
     connection: &mut impl Connection,
     new: &NewEndpoint,
     now: Timestamp,
-) -> Result<Option<Endpoint>, StoreFailure> {
+) -> Result<NewEndpointIs, StoreFailure> {
     let NewEndpoint { caller, url, description, events, secret } = new;
     connection.lock(Lock::Name { kind: "endpoints", caller: caller.name(), name: "" }).await?;
-    let known = sql("SELECT count(*) AS known FROM webhook_endpoints WHERE caller = $1")
-        .bind(caller.name())
-        .one(connection)
-        .await?;
-    if known.get::<i64>("known")? >= int(ENDPOINTS_MAX as u64) {
-        return Ok(None);
+    let known = list(connection, caller).await?;
+    if let Some(first) = known.iter().find(|known| known.url.is_none() && url.is_none()) {
+        return Ok(NewEndpointIs::Second(first.id));
+    }
+    if known.len() >= ENDPOINTS_MAX {
+        return Ok(NewEndpointIs::TooMany);
     }
     let id = EndpointId::new();
     sql("INSERT INTO webhook_endpoints (id, caller, url, description, events, enabled, secret, created_at) \
          VALUES ($1, $2, $3, $4, $5, 1, $6, $7)")
     .bind(id.to_bytes())
     .bind(caller.name())
-    .bind(url.as_str())
+    .bind(url.as_deref())
     .bind(description.as_str())
-    .bind(events_text(events))
+    .bind(codec::message_types(events).to_string())
     .bind(secret.to_bytes())
     .bind(now.0)
     .execute(connection)
     .await?;
-    endpoint(connection, caller, id).await
+    let made = endpoint(connection, caller, id).await?;
+    made.map(NewEndpointIs::Made).ok_or_else(|| StoreFailure::new(&"a new endpoint is not there"))
 }
 
 pub async fn endpoint(
@@ -82,14 +84,8 @@ pub fn endpoint_id(row: &impl Columns, column: &str) -> Result<EndpointId, Store
     Ok(EndpointId::from_bytes(rows::bytes(row.get(column)?)?))
 }
 
-fn events_text(events: &[MessageType]) -> String {
-    Value::from_iter(events.iter().map(|event| event.name())).to_string()
-}
-
-/// Types of another version are passed over.
 pub fn events_from(text: &str) -> Result<Vec<MessageType>, StoreFailure> {
-    let names = codec::parse(text, "the events of an endpoint")?;
-    Ok(names.as_array().into_iter().flatten().filter_map(|name| MessageType::named(name.as_str()?)).collect())
+    Ok(codec::message_types_from(&codec::parse(text, "the events of an endpoint")?))
 }
 
 /// Whoever enables an endpoint, or gives it another URL, wants to see it tried now.
@@ -107,7 +103,7 @@ pub async fn change(
          held_until = CASE WHEN $5 = 0 THEN held_until END WHERE id = $6 AND caller = $7")
     .bind(url.as_deref())
     .bind(description.as_deref())
-    .bind(events.as_deref().map(events_text))
+    .bind(events.as_deref().map(|events| codec::message_types(events).to_string()))
     .bind(enabled.map(i64::from))
     .bind(i64::from(fresh))
     .bind(id.to_bytes())

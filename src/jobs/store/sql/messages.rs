@@ -1,7 +1,7 @@
 //! Messages: written in the transaction of the change that they tell of.
 
 use super::endpoints::{endpoint_id, events_from};
-use super::{Columns, Connection, batches, reading, sql};
+use super::{Columns, Connection, batches, reading, rows, sql};
 use crate::jobs::clock::Timestamp;
 use crate::jobs::event::EventKind;
 use crate::jobs::ids::{BatchId, EndpointId, JobId, MessageId};
@@ -20,6 +20,9 @@ fn told_of(kind: &EventKind) -> Option<MessageType> {
     }
 }
 
+/// Where a message goes: to an endpoint, and there to where one job says.
+type Place = (EndpointId, Option<String>);
+
 /// Tells of events of a job that were just appended.
 pub async fn of_job(
     connection: &mut impl Connection,
@@ -28,16 +31,22 @@ pub async fn of_job(
     now: Timestamp,
 ) -> Result<(), StoreFailure> {
     for kind in kinds.iter().filter_map(told_of) {
-        let endpoints = sql("SELECT id, events FROM webhook_endpoints WHERE enabled = 1 \
-             AND caller = (SELECT caller FROM jobs WHERE id = $1) ORDER BY id")
+        let endpoints = sql("SELECT e.id, e.events, e.url, j.webhook FROM jobs j JOIN webhook_endpoints e \
+             ON e.caller = j.caller AND e.enabled = 1 WHERE j.id = $1 ORDER BY e.id")
         .bind(id.to_bytes())
         .all(connection)
         .await?;
-        let wanting = wanting(&endpoints, kind)?;
-        if !wanting.is_empty()
+        let mut places = wanting(&endpoints, kind)?;
+        for endpoint in &endpoints {
+            let asked = if endpoint.get::<Option<&str>>("url")?.is_none() { rows::webhook(endpoint)? } else { None };
+            if let Some(asked) = asked.filter(|asked| asked.events.contains(&kind)) {
+                places.push((endpoint_id(endpoint, "id")?, Some(asked.url)));
+            }
+        }
+        if !places.is_empty()
             && let Some(job) = reading::snapshot(connection, id).await?
         {
-            write(connection, kind, &Subject::Rig(Box::new(job)), &wanting, now).await?;
+            write(connection, kind, &Subject::Rig(Box::new(job)), &places, now).await?;
         }
     }
     Ok(())
@@ -51,36 +60,37 @@ pub async fn of_batch(
     now: Timestamp,
 ) -> Result<(), StoreFailure> {
     let kind = MessageType::BatchCompleted;
-    let endpoints = sql("SELECT id, events FROM webhook_endpoints WHERE enabled = 1 AND caller = $1 ORDER BY id")
+    let endpoints = sql("SELECT id, events, url FROM webhook_endpoints WHERE enabled = 1 AND caller = $1 ORDER BY id")
         .bind(caller.name())
         .all(connection)
         .await?;
-    let wanting = wanting(&endpoints, kind)?;
-    if !wanting.is_empty()
+    let places = wanting(&endpoints, kind)?;
+    if !places.is_empty()
         && let Some(batch) = batches::batch(connection, caller, id).await?
     {
-        write(connection, kind, &Subject::Batch(Box::new(batch)), &wanting, now).await?;
+        write(connection, kind, &Subject::Batch(Box::new(batch)), &places, now).await?;
     }
     Ok(())
 }
 
-/// Those of `endpoints` that want to hear of `kind`.
-fn wanting(endpoints: &[impl Columns], kind: MessageType) -> Result<Vec<EndpointId>, StoreFailure> {
-    let mut wanting = Vec::new();
+/// Those of `endpoints` that are somewhere and want to hear of `kind`.
+fn wanting(endpoints: &[impl Columns], kind: MessageType) -> Result<Vec<Place>, StoreFailure> {
+    let mut places = Vec::new();
     for endpoint in endpoints {
-        if events_from(endpoint.get("events")?)?.contains(&kind) {
-            wanting.push(endpoint_id(endpoint, "id")?);
+        let somewhere = endpoint.get::<Option<&str>>("url")?.is_some();
+        if somewhere && events_from(endpoint.get("events")?)?.contains(&kind) {
+            places.push((endpoint_id(endpoint, "id")?, None));
         }
     }
-    Ok(wanting)
+    Ok(places)
 }
 
-/// Writes a message down, to be sent to `endpoints` at once.
+/// Writes a message down, to be sent to `places` at once.
 pub async fn write(
     connection: &mut impl Connection,
     kind: MessageType,
     subject: &Subject,
-    endpoints: &[EndpointId],
+    places: &[Place],
     now: Timestamp,
 ) -> Result<MessageId, StoreFailure> {
     let id = MessageId::new();
@@ -91,11 +101,12 @@ pub async fn write(
         .bind(snapshot::subject(subject).to_string())
         .execute(connection)
         .await?;
-    for endpoint in endpoints {
-        sql("INSERT INTO webhook_deliveries (endpoint, message, state, due_at, attempts, tries, log) \
-             VALUES ($1, $2, 'pending', $3, 0, 0, '[]')")
+    for (endpoint, url) in places {
+        sql("INSERT INTO webhook_deliveries (endpoint, message, url, state, due_at, attempts, tries, log) \
+             VALUES ($1, $2, $3, 'pending', $4, 0, 0, '[]')")
         .bind(endpoint.to_bytes())
         .bind(id.to_bytes())
+        .bind(url.as_deref())
         .bind(now.0)
         .execute(connection)
         .await?;

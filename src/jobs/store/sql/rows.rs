@@ -8,6 +8,7 @@ use crate::jobs::options::RigOptions;
 use crate::jobs::stage::Stage;
 use crate::jobs::store::{BlobPlace, StoreFailure, codec};
 use crate::jobs::submission::{Caller, Priority};
+use crate::jobs::webhooks::JobWebhook;
 use crate::storage::NewBlob;
 use sqlx::AssertSqlSafe;
 use std::sync::Arc;
@@ -16,7 +17,7 @@ use std::time::{Duration, SystemTime};
 /// All columns that [`job`] reads.
 pub const JOB: &str = "SELECT id, caller, client_id, options, labels, files, skeleton, asset, priority, timeout_ms, \
      retention_ms, deadline_at, state, stage, progress, cancel_requested, sequence, attempt, created_at, started_at, \
-     finished_at, expires_at, queue_ms, timings, result, error, cached FROM jobs ";
+     finished_at, expires_at, queue_ms, timings, result, error, cached, webhook FROM jobs ";
 
 pub fn bytes<const N: usize>(bytes: &[u8]) -> Result<[u8; N], StoreFailure> {
     bytes.try_into().map_err(|_| StoreFailure::new(&"an id or a digest cannot be read back"))
@@ -94,7 +95,14 @@ fn request(row: &impl Columns) -> Result<JobRequest, StoreFailure> {
         retention: duration(row.get("retention_ms")?),
         client_id: row.get("client_id")?,
         skeleton_given: row.get::<Option<&[u8]>>("skeleton")?.is_some(),
+        webhook: webhook(row)?,
     })
+}
+
+/// Where a job wants told what becomes of it.
+pub fn webhook(row: &impl Columns) -> Result<Option<JobWebhook>, StoreFailure> {
+    let text = row.get::<Option<&str>>("webhook")?;
+    Ok(text.map(|text| codec::parse(text, "webhook")).transpose()?.as_ref().and_then(codec::webhook_from))
 }
 
 /// The state of a job before it is changed.

@@ -6,17 +6,17 @@ use crate::jobs::store::StoreFailure;
 use crate::jobs::store::webhooks::{DELIVERY_LEASE, WebhookStore};
 use crate::jobs::submission::Caller;
 use crate::jobs::webhooks::{
-    Delivery, DeliveryState, DueDelivery, Endpoint, EndpointChange, NewEndpoint, Secret, Tried, Verdict,
+    Delivery, DeliveryState, DueDelivery, Endpoint, EndpointChange, NewEndpoint, NewEndpointIs, Secret, Tried, Verdict,
 };
 use async_trait::async_trait;
 
 #[async_trait]
 impl<E: Engine> WebhookStore for SqlStore<E> {
-    async fn create_endpoint(&self, new: NewEndpoint) -> Result<Option<Endpoint>, StoreFailure> {
+    async fn create_endpoint(&self, new: NewEndpoint) -> Result<NewEndpointIs, StoreFailure> {
         let mut writing = self.0.write().await?;
-        let endpoint = endpoints::create(&mut *writing, &new, self.0.now()).await?;
+        let made = endpoints::create(&mut *writing, &new, self.0.now()).await?;
         self.0.commit(writing).await?;
-        Ok(endpoint)
+        Ok(made)
     }
 
     async fn endpoint(&self, caller: &Caller, id: EndpointId) -> Result<Option<Endpoint>, StoreFailure> {
