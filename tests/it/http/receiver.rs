@@ -1,7 +1,7 @@
 //! An endpoint of webhooks on loopback: keeps what it is sent, and answers as it is told to.
 
 use axum::Router;
-use axum::body::Bytes;
+use axum::body::{Body, Bytes};
 use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
@@ -11,6 +11,7 @@ use hmac::{Hmac, Mac};
 use serde_json::Value;
 use sha2::Sha256;
 use std::collections::VecDeque;
+use std::convert::Infallible;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 use tokio::net::TcpListener;
@@ -22,11 +23,13 @@ pub struct Reply {
     pub retry_after: Option<&'static str>,
     pub location: Option<&'static str>,
     pub after: Duration,
+    /// A body that never ends.
+    pub endless: bool,
 }
 
 impl Reply {
     pub fn with(status: u16) -> Self {
-        Self { status, retry_after: None, location: None, after: Duration::ZERO }
+        Self { status, retry_after: None, location: None, after: Duration::ZERO, endless: false }
     }
 }
 
@@ -110,6 +113,10 @@ async fn take(State(seen): State<Arc<Seen>>, headers: HeaderMap, body: Bytes) ->
     let reply = seen.replies.lock().expect("not poisoned").pop_front().unwrap_or(Reply::with(204));
     tokio::time::sleep(reply.after).await;
     let mut response = StatusCode::from_u16(reply.status).expect("a status").into_response();
+    if reply.endless {
+        let drops = tokio_stream::iter(std::iter::repeat_with(|| Ok::<_, Infallible>("drop")));
+        *response.body_mut() = Body::from_stream(drops);
+    }
     for (name, value) in [("retry-after", reply.retry_after), ("location", reply.location)] {
         if let Some(value) = value {
             response.headers_mut().insert(name, value.parse().expect("a header"));

@@ -3,12 +3,13 @@
 use super::receiver::{Receiver, Reply};
 use super::scripted::{Answer, Scripted, Service, request};
 use super::socket::{Running, start};
+use axum::http::HeaderMap;
 use rigsmith::jobs::clock::{ManualClock, Timestamp};
 use rigsmith::jobs::store::LEASE;
 use rigsmith::jobs::store::sqlite::SqliteStore;
 use rigsmith::jobs::webhooks::{ENDPOINTS_MAX, SCHEDULE};
 use rigsmith::jobs::{Jobs, Settings};
-use rigsmith::outgoing::{Names, Outgoing};
+use rigsmith::outgoing::{Names, Outgoing, OutgoingError};
 use rigsmith::server::keys::{self, Keys, OwnQuota, Quota};
 use rigsmith::server::{App, Limits, app};
 use rigsmith::storage::Store;
@@ -23,6 +24,8 @@ use tempfile::TempDir;
 
 const ENDPOINTS: &str = "/v1/webhook-endpoints";
 const JSON: (&str, &str) = ("content-type", "application/json");
+/// Longer than anybody waits for an answer.
+const LONG: Duration = Duration::from_secs(600);
 
 /// `hooks.test` is on loopback, `inside.test` in a private network.
 struct Book;
@@ -197,7 +200,7 @@ async fn a_slow_endpoint_holds_up_neither_others_nor_the_stop() {
     let (service, _, mut running) = running().await;
     let slowly = endpoint(&service, &slow.url(), &["rig.succeeded"]).await;
     let quickly = endpoint(&service, &quick.url(), &["rig.succeeded"]).await;
-    slow.answers([Reply { after: Duration::from_secs(600), ..Reply::with(200) }]);
+    slow.answers([Reply { after: LONG, ..Reply::with(200) }]);
     service.finished("ok 1").await;
     slow.has(1).await;
     let began = Instant::now();
@@ -311,6 +314,18 @@ async fn what_leads_inside_is_refused_when_it_is_said_or_when_it_is_sent() {
     assert_eq!((&failed["state"], &failed["attempts"][0]["status"]), (&json!("failed"), &Value::Null));
     assert_eq!(failed["attempts"][0]["error"], "inside.test does not lead to the public internet");
     assert!(!service.get(path(&made)).await.json()["failing_since"].is_null());
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn only_the_head_of_an_answer_is_awaited_and_not_for_long() {
+    let receiver = Receiver::start().await;
+    let outgoing = Outgoing::new(Arc::new(Book), &["hooks.test".to_owned()]).expect("a client");
+    let told = async |time| outgoing.post(&receiver.url(), HeaderMap::new(), "{}".into(), time).await;
+    receiver.answers([Reply { endless: true, ..Reply::with(200) }, Reply { after: LONG, ..Reply::with(200) }]);
+    let began = Instant::now();
+    assert_eq!(told(LONG).await.expect("a head").status().as_u16(), 200);
+    assert!(matches!(told(Duration::from_millis(300)).await, Err(OutgoingError::Late(_))));
+    assert!(began.elapsed() < LONG / 2, "{:?}", began.elapsed());
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
