@@ -56,6 +56,15 @@ pub struct AnySkeletonArguments {
     /// Most joints that may move one vertex, 1 to 8.
     #[arg(long, value_name = "N")]
     max_influences: Option<String>,
+    /// How far weights run into each other along the surface, never across a gap: 0 (not at all) to 1.
+    #[arg(long, value_name = "0..1")]
+    smooth: Option<String>,
+    /// Drop weights below this share of a vertex's, 0 to 0.5; 0.001 unless given.
+    #[arg(long, value_name = "SHARE")]
+    prune: Option<String>,
+    /// Make the weights of left and right alike, where mesh and joints are: auto, on or off.
+    #[arg(long, value_name = "auto|on|off")]
+    mirror_weights: Option<String>,
     /// Fixes what the mesh does not decide.
     #[arg(long, value_name = "N")]
     seed: Option<String>,
@@ -89,6 +98,9 @@ impl AnySkeletonArguments {
             ("symmetry", &self.symmetry),
             ("skin_method", &self.skin_method),
             ("max_influences", &self.max_influences),
+            ("smooth", &self.smooth),
+            ("prune", &self.prune),
+            ("mirror_weights", &self.mirror_weights),
             ("seed", &self.seed),
             ("up", &self.up),
             ("front", &self.front),

@@ -166,6 +166,9 @@ fn pipeline_options(method: Method, options: &RigOptions) -> pipelines::RigOptio
         symmetry: options.symmetry,
         skin_method: options.skin_method.unwrap_or_default(),
         max_influences: options.max_influences,
+        smooth: options.smooth,
+        prune: options.prune,
+        mirror_weights: options.mirror_weights,
         seed: options.seed,
     }
 }

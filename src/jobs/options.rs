@@ -9,6 +9,7 @@ use std::sync::Arc;
 
 pub const DEFAULT_DETAIL: f64 = 0.5;
 pub const DEFAULT_MAX_INFLUENCES: usize = 4;
+pub const DEFAULT_PRUNE: f64 = 0.001;
 
 /// Options of one rig, defaults filled in.
 #[derive(Clone, Debug, PartialEq)]
@@ -23,6 +24,12 @@ pub struct RigOptions {
     pub skeleton: Option<Arc<Skeleton>>,
     /// Joints per vertex at most.
     pub max_influences: usize,
+    /// How far weights run into each other along the surface, 0 to 1.
+    pub smooth: f64,
+    /// Weights below this share of a vertex's are dropped.
+    pub prune: f64,
+    /// Whether the weights of left and right are made alike.
+    pub mirror_weights: Symmetry,
     pub seed: u64,
     /// Overrides what the file says or what is detected.
     pub up: Option<Axis>,
@@ -41,6 +48,9 @@ impl Default for RigOptions {
             skin_method: None,
             skeleton: None,
             max_influences: DEFAULT_MAX_INFLUENCES,
+            smooth: 0.0,
+            prune: DEFAULT_PRUNE,
+            mirror_weights: Symmetry::Off,
             seed: 0,
             up: None,
             front: None,
@@ -65,6 +75,9 @@ impl RigOptions {
             "skin_method": skin_method_name(self.skin_method),
             "skeleton": self.skeleton.as_deref().map(rig_json::skeleton_json),
             "max_influences": self.max_influences,
+            "smooth": self.smooth,
+            "prune": self.prune,
+            "mirror_weights": self.mirror_weights.name(),
             "seed": self.seed,
             "up": axis_name(self.up),
             "front": axis_name(self.front),

@@ -13,6 +13,9 @@ const DETAIL: RangeInclusive<f64> = 0.0..=1.0;
 /// In units of the normalised frame (longest side 1). The published RigNet uses 0.03 to 0.062.
 const BANDWIDTH: RangeInclusive<f64> = 0.005..=0.5;
 const MAX_INFLUENCES: RangeInclusive<u64> = 1..=8;
+const SMOOTH: RangeInclusive<f64> = 0.0..=1.0;
+/// More than half of a vertex would leave its heaviest joint alone, which `max_influences` 1 says better.
+const PRUNE: RangeInclusive<f64> = 0.0..=0.5;
 
 /// Why one field was refused.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -74,6 +77,9 @@ impl OptionsReader {
         "skin_method",
         "skeleton",
         "max_influences",
+        "smooth",
+        "prune",
+        "mirror_weights",
         "seed",
         "up",
         "front",
@@ -139,6 +145,9 @@ impl OptionsReader {
             "skin_method" => options.skin_method = word(raw)?,
             "skeleton" => options.skeleton = Some(skeleton(raw)?),
             "max_influences" => options.max_influences = whole(raw, MAX_INFLUENCES)? as usize,
+            "smooth" => options.smooth = number(raw, SMOOTH)?,
+            "prune" => options.prune = number(raw, PRUNE)?,
+            "mirror_weights" => options.mirror_weights = word(raw)?,
             "seed" => options.seed = whole(raw, 0..=u64::MAX)?,
             "up" => options.up = axis(raw)?,
             "front" => options.front = axis(raw)?,
@@ -266,6 +275,9 @@ mod tests {
             ("skin_method", "geodesic_voxel", json!("geodesic_voxel")),
             ("skeleton", &file.to_string(), file.clone()),
             ("max_influences", "8", json!(8)),
+            ("smooth", "0.25", json!(0.25)),
+            ("prune", "0.02", json!(0.02)),
+            ("mirror_weights", "auto", json!("auto")),
             ("seed", "18446744073709551615", json!(u64::MAX)),
             ("up", "z", json!("+z")),
             ("front", "-y", json!("-y")),
@@ -284,6 +296,9 @@ mod tests {
             skin_method: Some(SkinMethod::GeodesicVoxel),
             skeleton: Some(Arc::new(rig_json::read(file.to_string().as_bytes()).expect("reads").skeleton)),
             max_influences: 8,
+            smooth: 0.25,
+            prune: 0.02,
+            mirror_weights: Symmetry::Auto,
             seed: u64::MAX,
             up: Some(Axis::PosZ),
             front: Some(Axis::NegY),
@@ -318,6 +333,9 @@ mod tests {
             ("detail", json!("0.5"), "\"0.5\" is not a number"),
             ("bandwidth", json!(0), "0 is outside 0.005 to 0.5"),
             ("max_influences", json!(4.5), "4.5 is not a whole number from 1 to 8"),
+            ("smooth", json!(2), "2 is outside 0 to 1"),
+            ("prune", json!(0.6), "0.6 is outside 0 to 0.5"),
+            ("mirror_weights", json!("yes"), "\"yes\" is not one of auto, on, off"),
             ("seed", json!(-1), "-1 is not a whole number"),
             ("symmetry", json!("maybe"), "\"maybe\" is not one of auto, on, off"),
             (

@@ -28,6 +28,9 @@ pub fn facts(
         "options": {
             "bandwidth": facts.bandwidth,
             "max_influences": options.max_influences,
+            "smooth": options.smooth,
+            "prune": options.prune,
+            "mirror_weights": options.mirror_weights.name(),
             "symmetry": options.symmetry.name(),
             "seed": options.seed,
         },
@@ -44,6 +47,7 @@ pub fn facts(
             "unweighted": 0,
             "method": skin_method.name(),
             "by_nearest_bone": facts.vertices_by_nearest_bone,
+            "mirrored": facts.vertices_mirrored,
         },
         "symmetry": {
             "score": rounded(facts.symmetry_score),
@@ -115,6 +119,15 @@ pub fn findings(rigged: &Rigged) -> Vec<Finding> {
                 "{vertices_by_nearest_bone} vertices got no weights of their own and follow the nearest bone"
             ),
             hint: "check these parts in a pose".into(),
+        });
+    }
+    if rigged.facts.vertices_mirrored == Some(0) {
+        findings.push(Finding {
+            code: "weights_not_mirrored",
+            parts: Vec::new(),
+            severity: Severity::Warning,
+            message: "no weights were made alike: mesh and skeleton have no left and right that match".into(),
+            hint: "place the joints of both sides alike, or leave mirror_weights out".into(),
         });
     }
     if joints_inside < JOINTS_INSIDE_USUAL {

@@ -6,6 +6,7 @@ pub mod rignet;
 pub mod shape;
 mod skin;
 pub mod survey;
+mod transfer;
 
 pub use crate::geometry::{orientation, stance};
 
@@ -14,6 +15,7 @@ use crate::mesh::Mesh;
 pub use crate::nets::{LoadOptions, Models, NetError};
 use crate::rig::detect_joints::DetectJointsError;
 pub use crate::rig::detect_joints::Fineness as LevelOfDetail;
+use crate::rig::skin_weights::Trim;
 pub use crate::rig::verdict::{Quality, Verdict};
 pub use crate::rig::{Rig, Skeleton};
 use glam::{DMat3, DVec3};
@@ -123,6 +125,12 @@ pub struct RigOptions {
     pub skin_method: SkinMethod,
     /// Most joints that may move one vertex, 1 to 8.
     pub max_influences: usize,
+    /// How far weights run into each other along the surface, 0 (as the method gives them) to 1.
+    pub smooth: f64,
+    /// Weights below this share of a vertex's are dropped, 0 to 0.5.
+    pub prune: f64,
+    /// Whether the weights of left and right are made alike.
+    pub mirror_weights: Symmetry,
     /// Fixes every choice that is not decided by the mesh.
     pub seed: u64,
 }
@@ -134,9 +142,19 @@ impl Default for RigOptions {
             level_of_detail: LevelOfDetail::Detail(0.5),
             symmetry: Symmetry::Auto,
             skin_method: SkinMethod::default(),
-            max_influences: 4,
+            max_influences: Trim::USUAL.max_influences,
+            smooth: 0.0,
+            prune: Trim::WEIGHT_MIN,
+            mirror_weights: Symmetry::Off,
             seed: 0,
         }
+    }
+}
+
+impl RigOptions {
+    /// What is cut off each vertex's weights.
+    fn trim(&self) -> Trim {
+        Trim { max_influences: self.max_influences, weight_min: self.prune }
     }
 }
 
@@ -191,6 +209,8 @@ pub struct Facts {
     pub joints_far_outside: Vec<usize>,
     /// Vertices that no bone's weights reached; they follow the nearest bone.
     pub vertices_by_nearest_bone: usize,
+    /// Vertices that have the mean of both sides' weights; `None` unless sides were to be made alike.
+    pub vertices_mirrored: Option<usize>,
     /// How good the rig of the working mesh is, by what can be measured without knowing the right answer.
     pub quality: Quality,
 }

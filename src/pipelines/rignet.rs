@@ -1,12 +1,12 @@
 //! RigNet [Xu et al. 2020], Section 4, in the paper's order, with what a service has to add: any upload comes in, a
 //! working mesh is made of it, and the weights go back to the upload's own vertices.
 
-use super::prepared::{Prepared, SYMMETRIC_FROM};
+use super::prepared::Prepared;
 use super::shape::{Shape, points_f32};
 use super::skin::{SkinNets, judged, weigh};
+use super::transfer::transferred;
 use super::{Facts, RigError, RigOptions, Rigged, Stage, Subject, Symmetry, Watch};
 use crate::geometry::symmetry_plane::SymmetryPlane;
-use crate::geometry::transfer::transfer_map;
 use crate::nets::rignet::{RigNets, ShapeGraph};
 use crate::rig::detect_joints::{DetectedJoints, Evidence, detect_joints};
 use crate::rig::spanning_tree::{BoneCosts, OutsideRule, Tree, minimum_spanning_tree, symmetric_spanning_tree};
@@ -31,7 +31,7 @@ pub(super) fn rig(
     watch.enter(Stage::Geometry)?;
     let shape = Shape::new(subject.working.mesh.clone());
     let graph = shape.graph(options.seed);
-    let plane = mirror_plane(&shape.symmetry, options.symmetry);
+    let plane = shape.mirror_plane(options.symmetry);
 
     watch.enter(Stage::Joints)?;
     let detected = find_joints(&shape, &graph, nets, plane.as_ref(), options, watch)?;
@@ -45,7 +45,7 @@ pub(super) fn rig(
     let quality = judged(&shape, &skeleton, &skin, plane.as_ref());
 
     watch.enter(Stage::Transfer)?;
-    let skin = skin.transferred(&transfer_map(&subject.original, &subject.working), options.max_influences);
+    let transferred = transferred(&subject, &shape, &skeleton, &skin, options);
     let to_upload = |point: DVec3| subject.normalization.invert(point);
     let facts = Facts {
         working_vertices: shape.mesh.positions.len(),
@@ -56,19 +56,10 @@ pub(super) fn rig(
         joints_inside: quality.joints_inside,
         joints_far_outside: Vec::new(),
         vertices_by_nearest_bone,
+        vertices_mirrored: transferred.mirrored,
         quality,
     };
-    Ok(Rigged { rig: Rig { skeleton: skeleton.mapped(to_upload), skin }, facts })
-}
-
-/// The plane to make left and right alike about, if any.
-fn mirror_plane(best: &SymmetryPlane, symmetry: Symmetry) -> Option<SymmetryPlane> {
-    let wanted = match symmetry {
-        Symmetry::Auto => best.score >= SYMMETRIC_FROM,
-        Symmetry::On => true,
-        Symmetry::Off => false,
-    };
-    wanted.then_some(*best)
+    Ok(Rigged { rig: Rig { skeleton: skeleton.mapped(to_upload), skin: transferred.skin }, facts })
 }
 
 /// Displacement and attention networks, then clustering (Section 4.1).

@@ -12,9 +12,9 @@
 use super::heter_skin::WeighedBones;
 use super::prepared::{Prepared, SYMMETRIC_FROM};
 use super::shape::Shape;
+use super::transfer::transferred;
 use super::{Facts, RigError, RigOptions, Rigged, SkinMethod, Stage, Subject, Symmetry, Watch};
 use crate::geometry::symmetry_plane::SymmetryPlane;
-use crate::geometry::transfer::transfer_map;
 use crate::geometry::volumetric_geodesic::Segment;
 use crate::nets::Models;
 use crate::nets::heter_skin_net::HeterSkinNet;
@@ -56,7 +56,7 @@ pub(super) fn skin(
     let quality = judged(&shape, &normalised, &skin, plane);
 
     watch.enter(Stage::Transfer)?;
-    let skin = skin.transferred(&transfer_map(&subject.original, &subject.working), options.max_influences);
+    let transferred = transferred(&subject, &shape, &normalised, &skin, options);
     let facts = Facts {
         working_vertices: shape.mesh.positions.len(),
         working_triangles: shape.mesh.triangles.len(),
@@ -66,9 +66,10 @@ pub(super) fn skin(
         joints_inside: quality.joints_inside,
         joints_far_outside: far_outside(&shape, &normalised),
         vertices_by_nearest_bone,
+        vertices_mirrored: transferred.mirrored,
         quality,
     };
-    Ok(Rigged { rig: Rig { skeleton: skeleton.clone(), skin }, facts })
+    Ok(Rigged { rig: Rig { skeleton: skeleton.clone(), skin: transferred.skin }, facts })
 }
 
 /// What can be said of the rig of the working mesh.
@@ -130,7 +131,8 @@ pub(super) fn weigh(
         SkinNets::Falloff => by_falloff(shape, skeleton, watch)?,
         SkinNets::Heat => by_heat(shape, skeleton, watch)?,
     };
-    Ok(SkinWeights::from_bones(&weights, &bones, &nearest, options.max_influences))
+    let weights = spread(weights, shape, options.smooth);
+    Ok(SkinWeights::from_bones(&weights, &bones, &nearest, options.trim()))
 }
 
 /// Volumetric distances and the skin network (RigNet, Section 4.3), cleaned. Second: the nearest bones `[V, K]`.
@@ -192,6 +194,22 @@ fn smoothed(mut weights: BoneWeights, shape: &Shape, times: usize) -> BoneWeight
         weights = weights.smoothed(&shape.one_ring);
     }
     weights
+}
+
+/// How often a smoothing that was asked for goes round: at full strength a hard edge becomes a slope of about five edges of the
+/// working mesh, a tenth of a character's height.
+const SPREAD_ROUNDS: usize = 10;
+
+/// Weights that run into each other along the edges of the mesh, and so across no gap. `strength` 0 to 1 is how much of a
+/// neighbour's mean is taken in each round.
+fn spread(mut weights: BoneWeights, shape: &Shape, strength: f64) -> BoneWeights {
+    if strength <= 0.0 {
+        return weights;
+    }
+    for _ in 0..SPREAD_ROUNDS {
+        weights = weights.blended(&shape.one_ring, (1.0 - strength / 2.0) as f32);
+    }
+    weights.pruned(TRACE_SHARE)
 }
 
 /// A flat buffer as `[rows, columns]`.

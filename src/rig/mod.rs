@@ -5,7 +5,7 @@
 //! | displaced points → joints             | [`detect_joints`], made of [`joint_clustering`], [`non_maximum_suppression`], [`symmetrize`] |
 //! | joints → tree → skeleton, bones       | [`spanning_tree`], [`skeleton`]                                   |
 //! | bone distances → what the networks read | [`bone_features`], [`heter_graph`]                             |
-//! | logits or distances → weights         | [`bone_weights`], [`distance_falloff`], [`heat_weights`], [`skin_weights`] |
+//! | logits or distances → weights         | [`bone_weights`], [`distance_falloff`], [`heat_weights`], [`skin_weights`], [`mirror_weights`] |
 //! | rig → posed mesh, figures             | [`bind_pose`], [`forward_kinematics`], [`linear_blend_skinning`], [`quality`], [`verdict`] |
 
 pub mod bind_pose;
@@ -21,6 +21,7 @@ pub mod heter_graph;
 pub mod joint_clustering;
 mod joint_levels;
 pub mod linear_blend_skinning;
+pub mod mirror_weights;
 mod modes;
 pub mod non_maximum_suppression;
 pub mod quality;

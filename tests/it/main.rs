@@ -21,4 +21,6 @@ mod program;
 mod revision;
 #[path = "../stand_ins/s3.rs"]
 mod s3;
+mod shapes;
 mod skin;
+mod skin_options;

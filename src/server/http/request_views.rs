@@ -44,6 +44,18 @@ pub struct OptionsView {
     #[param(required = false, minimum = 1, maximum = 8)]
     #[schema(example = 4, minimum = 1, maximum = 8, required = false)]
     pub max_influences: usize,
+    /// How far weights run into each other along the surface, never across a gap: 0 (as the method gives them, unless given) to 1.
+    #[param(required = false, minimum = 0, maximum = 1)]
+    #[schema(example = 0.0, minimum = 0, maximum = 1, required = false)]
+    pub smooth: f64,
+    /// Weights below this share of a vertex's are dropped; 0.001 unless given.
+    #[param(required = false, minimum = 0, maximum = 0.5)]
+    #[schema(example = 0.001, minimum = 0, maximum = 0.5, required = false)]
+    pub prune: f64,
+    /// Whether the weights of left and right are made alike, where both mesh and joints are; `off` unless given.
+    #[param(required = false, value_type = SymmetryName)]
+    #[schema(example = "off", required = false, value_type = SymmetryName)]
+    pub mirror_weights: &'static str,
     /// The same bytes for the same seed; 0 unless given.
     #[param(required = false, minimum = 0)]
     #[schema(example = 0, minimum = 0, required = false)]
@@ -182,6 +194,9 @@ impl From<&RigOptions> for OptionsView {
             skin_method: skin_method_name(options.skin_method),
             skeleton: options.skeleton.as_ref().map(|skeleton| format!("{} joints", skeleton.joints.len())),
             max_influences: options.max_influences,
+            smooth: options.smooth,
+            prune: options.prune,
+            mirror_weights: options.mirror_weights.name(),
             seed: options.seed,
             up: axis_name(options.up),
             front: axis_name(options.front),

@@ -31,7 +31,7 @@ const NOT_HERE: &[(&str, &str)] = &[
     ("forward_axis", "it is called front here"),
     ("max_joints", "detail decides how many joints there are"),
     ("fingers", "detail decides how much is found"),
-    ("skinning", "skin_method and max_influences are fields of their own"),
+    ("skinning", "skin_method, max_influences, smooth and prune are fields of their own"),
     ("naming", "joints are numbered"),
     ("root_joint", "the root is the joint that the method finds"),
     ("leaf_joints", "there are none beyond the joints that the method finds"),

@@ -166,6 +166,9 @@ fn options(members: &Value) -> RigOptions {
             "bandwidth" => options.bandwidth = value.as_f64(),
             "symmetry" => options.symmetry = text(),
             "max_influences" => options.max_influences = value.as_u64().map(|number| number as u32),
+            "smooth" => options.smooth = value.as_f64(),
+            "prune" => options.prune = value.as_f64(),
+            "mirror_weights" => options.mirror_weights = text(),
             "seed" => options.seed = value.as_u64(),
             "up" => options.up = text(),
             "existing_rig" => options.existing_rig = text(),
@@ -229,6 +232,7 @@ pub fn rig_json(rig: Rig) -> Value {
         "request": {
             "method": wanted.method, "detail": wanted.detail, "bandwidth": wanted.bandwidth, "symmetry": wanted.symmetry,
             "skin_method": wanted.skin_method, "skeleton": wanted.skeleton, "max_influences": wanted.max_influences,
+            "smooth": wanted.smooth, "prune": wanted.prune, "mirror_weights": wanted.mirror_weights,
             "seed": wanted.seed, "up": wanted.up, "front": wanted.front, "existing_rig": wanted.existing_rig,
             "outputs": wanted.outputs, "priority": wanted.priority, "timeout_seconds": wanted.timeout_seconds,
             "retention_hours": wanted.retention_hours, "labels": wanted.labels,
