@@ -74,9 +74,15 @@ pub struct AnySkeletonArguments {
     /// The axis that the character faces.
     #[arg(long, value_name = "AXIS", allow_hyphen_values = true)]
     front: Option<String>,
-    /// What to do with a file that is rigged already: reject or replace.
-    #[arg(long, value_name = "reject|replace")]
+    /// What to do with a file that is rigged already: reject, replace, or reskin, which keeps its skeleton and makes new weights.
+    #[arg(long, value_name = "reject|replace|reskin")]
     existing_rig: Option<String>,
+    /// Joints of a skeleton that is there which must not move vertices: names or patterns ('IK_*'), separated by commas.
+    #[arg(long, alias = "no-deform", value_name = "NAMES")]
+    non_deforming: Option<String>,
+    /// Joints of a skeleton that is there which keep the weights that they had, named alike; the others share what is left.
+    #[arg(long, alias = "lock", value_name = "NAMES")]
+    locked_joints: Option<String>,
 }
 
 impl OptionArguments {
@@ -105,6 +111,8 @@ impl AnySkeletonArguments {
             ("up", &self.up),
             ("front", &self.front),
             ("existing_rig", &self.existing_rig),
+            ("non_deforming", &self.non_deforming),
+            ("locked_joints", &self.locked_joints),
         ]
     }
 }

@@ -2,6 +2,7 @@
 
 use super::check::Check;
 use super::failure::{ErrorCode, JobError};
+use super::given_joints::GivenJoints;
 use super::options::{Output, RigOptions};
 use super::perform::{Artifact, MethodInfo, Outcome, Readiness, RigRequest, Rigger, Watch};
 use super::report;
@@ -42,9 +43,10 @@ impl Engine {
         let on_stage = |stage| watch.enter(Stage::from(stage));
         let pipeline_watch = pipelines::Watch { cancellation: watch.cancellation(), on_stage: &on_stage };
         let wanted = pipeline_options(method, options);
-        let rigged = match &options.skeleton {
+        let joints = GivenJoints::of(options, &upload.asset).map_err(|error| staged(error, watch))?;
+        let rigged = match &joints {
             None => pipelines::rig(subject, &self.models, &wanted, pipeline_watch),
-            Some(skeleton) => pipelines::skin(subject, skeleton, &self.models, &wanted, pipeline_watch),
+            Some(joints) => pipelines::skin(subject, joints.given(), &self.models, &wanted, pipeline_watch),
         };
         let rigged = rigged.map_err(|error| rig_failure(&error, watch))?;
         watch.check()?;
@@ -79,7 +81,7 @@ pub fn check_file(
 /// The upload of `request`, decoded as it was for its rig.
 pub(super) fn decoded(request: &RigRequest) -> Result<Asset, JobError> {
     let (main, siblings) = request.split()?;
-    let options = DecodeOptions { existing_rig: request.options.existing_rig, allow_missing_textures: false };
+    let options = DecodeOptions { existing_rig: request.options.existing_rig, ..DecodeOptions::default() };
     formats::decode(&main.name, &main.bytes, &siblings, &Limits::default(), &options)
         .map_err(|error| refusal(&error, &Watch::unattended()))
 }
@@ -104,7 +106,11 @@ impl Upload {
     ) -> Result<Self, JobError> {
         watch.check()?;
         watch.enter(Stage::Ingest);
-        let decode_options = DecodeOptions { existing_rig: options.existing_rig, allow_missing_textures: false };
+        let decode_options = DecodeOptions {
+            existing_rig: options.existing_rig,
+            old_rig: !options.locked_joints.is_empty(),
+            ..DecodeOptions::default()
+        };
         let asset = formats::decode(file_name, bytes, siblings, limits, &decode_options)
             .map_err(|error| refusal(&error, watch))?;
         watch.check()?;
@@ -121,7 +127,7 @@ impl Rigger for Engine {
         let (main, siblings) = request.split()?;
         let mut options = request.options.clone();
         if let Some(bytes) = &request.skeleton {
-            options.skeleton = Some(read_skeleton(bytes)?);
+            options.skeleton = Some(read_skeleton(bytes, !options.locked_joints.is_empty())?);
         }
         self.rig_file(&main.name, &main.bytes, &siblings, &options, watch)
     }
@@ -241,7 +247,7 @@ fn encode(
     wanted: &RigOptions,
     facts: &serde_json::Map<String, serde_json::Value>,
 ) -> Result<Artifact, JobError> {
-    let names = if wanted.skeleton.is_some() { JointNames::AsGiven } else { JointNames::Plain };
+    let names = if wanted.keeps_skeleton() { JointNames::AsGiven } else { JointNames::Plain };
     encode_rig(output, asset, &rigged.rig, names, wanted.max_influences, method, facts)
 }
 

@@ -46,9 +46,11 @@ mod engine;
 pub mod event;
 mod exporting;
 pub mod failure;
+mod given_joints;
 mod history;
 pub mod ids;
 pub mod job;
+mod joint_pattern;
 mod keeper;
 mod keeping;
 mod looking;
@@ -81,8 +83,8 @@ pub use ids::{AssetId, BatchId, JobId, NotAnId};
 pub use job::{ArtifactInfo, FileInfo, Job, JobRequest, JobResult, JobState, Notice};
 pub use looking::Denied;
 pub use options::{
-    DEFAULT_DETAIL, DEFAULT_MAX_INFLUENCES, ExistingRigPolicy, FieldError, FieldProblem, LevelOfDetail, OptionsReader,
-    Output, RigOptions, Skeleton, SkinMethod, Symmetry,
+    DEFAULT_DETAIL, DEFAULT_MAX_INFLUENCES, ExistingRigPolicy, FieldError, FieldProblem, GivenSkeleton, LevelOfDetail,
+    OptionsReader, Output, RigOptions, Skeleton, SkinMethod, Symmetry,
 };
 pub use page::{NoPage, Page};
 pub use perform::{

@@ -4,6 +4,7 @@ pub use super::options_reader::{FieldError, FieldProblem, OptionsReader};
 pub use crate::formats::ExistingRigPolicy;
 use crate::formats::{Axis, rig_json};
 pub use crate::pipelines::{LevelOfDetail, Skeleton, SkinMethod, Symmetry};
+use crate::rig::Influence;
 use serde_json::Value;
 use std::sync::Arc;
 
@@ -21,7 +22,11 @@ pub struct RigOptions {
     /// What weighs the vertices; `None`: the service chooses.
     pub skin_method: Option<SkinMethod>,
     /// A skeleton in upload space to make weights for, instead of making one. It stays as it is.
-    pub skeleton: Option<Arc<Skeleton>>,
+    pub skeleton: Option<Arc<GivenSkeleton>>,
+    /// Names or patterns of joints of a given skeleton that must not move vertices.
+    pub non_deforming: Vec<String>,
+    /// Names or patterns of joints of a given skeleton that keep the weights they had.
+    pub locked_joints: Vec<String>,
     /// Joints per vertex at most.
     pub max_influences: usize,
     /// How far weights run into each other along the surface, 0 to 1.
@@ -47,6 +52,8 @@ impl Default for RigOptions {
             symmetry: Symmetry::Auto,
             skin_method: None,
             skeleton: None,
+            non_deforming: Vec::new(),
+            locked_joints: Vec::new(),
             max_influences: DEFAULT_MAX_INFLUENCES,
             smooth: 0.0,
             prune: DEFAULT_PRUNE,
@@ -60,7 +67,20 @@ impl Default for RigOptions {
     }
 }
 
+/// A skeleton that the caller has, and its weights where some of them are to stay.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct GivenSkeleton {
+    pub skeleton: Skeleton,
+    /// One row per vertex of the mesh over the joints of the skeleton; none where no joint is locked.
+    pub rows: Vec<Vec<Influence>>,
+}
+
 impl RigOptions {
+    /// Whether a skeleton that is there stays, and only weights are made.
+    pub fn keeps_skeleton(&self) -> bool {
+        self.skeleton.is_some() || self.existing_rig == ExistingRigPolicy::Reskin
+    }
+
     /// Every field by its name, so that [`OptionsReader`](super::OptionsReader) reads the same options back.
     pub fn to_json(&self) -> Value {
         let (detail, bandwidth) = match self.level_of_detail {
@@ -73,7 +93,9 @@ impl RigOptions {
             "bandwidth": bandwidth,
             "symmetry": self.symmetry.name(),
             "skin_method": skin_method_name(self.skin_method),
-            "skeleton": self.skeleton.as_deref().map(rig_json::skeleton_json),
+            "skeleton": self.skeleton.as_deref().map(|given| rig_json::skeleton_json(&given.skeleton, &given.rows)),
+            "non_deforming": self.non_deforming,
+            "locked_joints": self.locked_joints,
             "max_influences": self.max_influences,
             "smooth": self.smooth,
             "prune": self.prune,
@@ -134,8 +156,11 @@ impl Words for Option<SkinMethod> {
 }
 
 impl Words for ExistingRigPolicy {
-    const WORDS: &'static [(&'static str, Self)] =
-        &[("reject", ExistingRigPolicy::Reject), ("replace", ExistingRigPolicy::Replace)];
+    const WORDS: &'static [(&'static str, Self)] = &[
+        ("reject", ExistingRigPolicy::Reject),
+        ("replace", ExistingRigPolicy::Replace),
+        ("reskin", ExistingRigPolicy::Reskin),
+    ];
 }
 
 impl Words for Output {

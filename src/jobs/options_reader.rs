@@ -1,9 +1,12 @@
 //! Reads options field by field, from text and from JSON. One reader serves the command line, query parameters, form
 //! fields and JSON, so a field has one name, one range and one message everywhere.
 
-use super::options::{Output, RigOptions, Words, axis_name};
-use crate::formats::{Axis, rig_json};
-use crate::pipelines::{LevelOfDetail, Skeleton};
+use super::joint_pattern::{PATTERN_LENGTH_MAX, PATTERNS_MAX};
+use super::options::{ExistingRigPolicy, GivenSkeleton, Output, RigOptions, Words, axis_name};
+use crate::formats::Axis;
+use crate::formats::rig_json::{self, RigFile};
+use crate::pipelines::LevelOfDetail;
+use crate::rig::Rig;
 use serde_json::Value;
 use std::fmt;
 use std::ops::RangeInclusive;
@@ -76,6 +79,8 @@ impl OptionsReader {
         "symmetry",
         "skin_method",
         "skeleton",
+        "non_deforming",
+        "locked_joints",
         "max_influences",
         "smooth",
         "prune",
@@ -107,6 +112,16 @@ impl OptionsReader {
         {
             let detail = format!("{} and up {} lie on one line", axis_name(Some(front)), axis_name(Some(up)));
             self.refuse("front", FieldProblem::Invalid, detail);
+        }
+        if self.options.skeleton.is_some() && self.options.existing_rig == ExistingRigPolicy::Reskin {
+            let detail = "keeps the skeleton of the file; leave skeleton out, or replace the one of the file";
+            self.refuse("existing_rig", FieldProblem::Invalid, format!("reskin {detail}"));
+        }
+        if self.options.locked_joints.is_empty()
+            && let Some(given) = self.options.skeleton.as_mut().filter(|given| !given.rows.is_empty())
+        {
+            // Weights that nobody keeps decide nothing.
+            *given = Arc::new(GivenSkeleton { skeleton: given.skeleton.clone(), rows: Vec::new() });
         }
         if self.errors.is_empty() { Ok(self.options) } else { Err(self.errors) }
     }
@@ -144,6 +159,8 @@ impl OptionsReader {
             "symmetry" => options.symmetry = word(raw)?,
             "skin_method" => options.skin_method = word(raw)?,
             "skeleton" => options.skeleton = Some(skeleton(raw)?),
+            "non_deforming" => options.non_deforming = patterns(raw)?,
+            "locked_joints" => options.locked_joints = patterns(raw)?,
             "max_influences" => options.max_influences = whole(raw, MAX_INFLUENCES)? as usize,
             "smooth" => options.smooth = number(raw, SMOOTH)?,
             "prune" => options.prune = number(raw, PRUNE)?,
@@ -203,12 +220,34 @@ fn word<W: Words>(raw: Raw) -> Result<W, String> {
     W::parse(text(raw)?).ok_or_else(|| format!("{raw} is not one of {}", W::choices()))
 }
 
-fn skeleton(raw: Raw) -> Result<Arc<Skeleton>, String> {
+fn skeleton(raw: Raw) -> Result<Arc<GivenSkeleton>, String> {
     let read = match raw {
         Raw::Text(text) => rig_json::read(text.as_bytes()),
         Raw::Json(value) => rig_json::read(value.to_string().as_bytes()),
     };
-    read.map(|file| Arc::new(file.skeleton)).map_err(|error| format!("{error}; {}", error.hint()))
+    let given = |file: RigFile| {
+        let Rig { skeleton, skin } = file.into_rig();
+        Arc::new(GivenSkeleton { skeleton, rows: skin.rows })
+    };
+    read.map(given).map_err(|error| format!("{error}; {}", error.hint()))
+}
+
+/// Names of joints, or patterns of names. In text separated by commas.
+fn patterns(raw: Raw) -> Result<Vec<String>, String> {
+    let names: Vec<&str> = match raw {
+        Raw::Text(text) => text.split(',').map(str::trim).filter(|name| !name.is_empty()).collect(),
+        Raw::Json(Value::Array(values)) => {
+            values.iter().map(|value| text(Raw::Json(value))).collect::<Result<_, _>>()?
+        }
+        Raw::Json(_) => return Err(format!("{raw} is not a list")),
+    };
+    if names.len() > PATTERNS_MAX {
+        return Err(format!("{} names are more than {PATTERNS_MAX}; a pattern such as IK_* names many", names.len()));
+    }
+    match names.iter().find(|name| !(1..=PATTERN_LENGTH_MAX).contains(&name.len())) {
+        Some(name) => Err(format!("{} is no name of 1 to {PATTERN_LENGTH_MAX} bytes", Raw::Text(name))),
+        None => Ok(names.into_iter().map(str::to_owned).collect()),
+    }
 }
 
 fn method(raw: Raw) -> Result<Option<String>, String> {
@@ -254,8 +293,8 @@ fn outputs(raw: Raw) -> Result<Vec<Output>, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::formats::ExistingRigPolicy;
     use crate::pipelines::{SkinMethod, Symmetry};
+    use crate::rig::Influence;
     use serde_json::json;
 
     fn refused(field: &str, value: Value) -> FieldError {
@@ -267,13 +306,16 @@ mod tests {
     #[test]
     fn every_field_is_read_from_text_and_from_json() {
         let joints = json!([{ "name": "hips", "parent": null, "position": [0.5, 1.0, -0.25] }]);
-        let file = json!({ "format": rig_json::FORMAT, "joints": joints });
+        let skins = json!([{ "joints": [[0]], "weights": [[1.0]] }]);
+        let file = json!({ "format": rig_json::FORMAT, "joints": joints, "skins": skins });
         let fields = [
             ("method", "rignet", json!("rignet")),
             ("detail", "0.75", json!(0.75)),
             ("symmetry", "off", json!("off")),
             ("skin_method", "geodesic_voxel", json!("geodesic_voxel")),
             ("skeleton", &file.to_string(), file.clone()),
+            ("non_deforming", "IK_*, pole", json!(["IK_*", "pole"])),
+            ("locked_joints", "head", json!(["head"])),
             ("max_influences", "8", json!(8)),
             ("smooth", "0.25", json!(0.25)),
             ("prune", "0.02", json!(0.02)),
@@ -294,7 +336,12 @@ mod tests {
             level_of_detail: LevelOfDetail::Detail(0.75),
             symmetry: Symmetry::Off,
             skin_method: Some(SkinMethod::GeodesicVoxel),
-            skeleton: Some(Arc::new(rig_json::read(file.to_string().as_bytes()).expect("reads").skeleton)),
+            skeleton: Some(Arc::new(GivenSkeleton {
+                skeleton: rig_json::read(file.to_string().as_bytes()).expect("reads").skeleton,
+                rows: vec![vec![Influence { joint: 0, weight: 1.0 }]],
+            })),
+            non_deforming: vec!["IK_*".to_owned(), "pole".to_owned()],
+            locked_joints: vec!["head".to_owned()],
             max_influences: 8,
             smooth: 0.25,
             prune: 0.02,
@@ -344,6 +391,9 @@ mod tests {
                 "\"heat\" is not one of auto, rignet, heter_skin_net, geodesic_voxel, geodesic_heat",
             ),
             ("skeleton", json!({ "format": "rigsmith.rig/1", "joints": [] }), "no joints"),
+            ("non_deforming", json!("IK_*"), "is not a list"),
+            ("non_deforming", json!([""]), "is no name"),
+            ("locked_joints", json!(vec!["a"; 101]), "101 names are more than 100"),
             ("outputs", json!([]), "is empty"),
             ("outputs", json!("glb"), "is not a list"),
             ("colour", json!("red"), "no such field"),
@@ -359,9 +409,13 @@ mod tests {
 
     #[test]
     fn contradictions_are_refused() {
-        for pair in
-            [[("detail", "0.5"), ("bandwidth", "0.05")], [("up", "y"), ("front", "-y")], [("seed", "1"), ("seed", "1")]]
-        {
+        let file = r#"{"format": "rigsmith.rig/1", "joints": [{"name": "a", "parent": null, "position": [0, 0, 0]}]}"#;
+        for pair in [
+            [("detail", "0.5"), ("bandwidth", "0.05")],
+            [("up", "y"), ("front", "-y")],
+            [("seed", "1"), ("seed", "1")],
+            [("skeleton", file), ("existing_rig", "reskin")],
+        ] {
             let mut reader = OptionsReader::default();
             for (field, value) in pair {
                 reader.text(field, value);

@@ -39,7 +39,7 @@ pub fn facts(
             "root": rig.skeleton.joints.first().map(|joint| joint.name.clone()),
             "depth": rig.skeleton.depth(),
             "symmetric": facts.symmetry_plane.is_some(),
-            "given": options.skeleton.is_some(),
+            "given": options.keeps_skeleton(),
         },
         "skin": {
             "vertices": rig.skin.rows.len(),
@@ -63,12 +63,9 @@ pub fn facts(
     }))
 }
 
-/// The name of what made the rig: the method, or for a skeleton that was given what weighed the vertices.
+/// The name of what made the rig: the method, or for a skeleton that was there what weighed the vertices.
 pub fn method_used(method: Method, options: &RigOptions) -> &'static str {
-    match options.skeleton {
-        None => method.name(),
-        Some(_) => options.skin_method.unwrap_or_default().name(),
-    }
+    if options.keeps_skeleton() { options.skin_method.unwrap_or_default().name() } else { method.name() }
 }
 
 /// The figures of [`Quality`]; bleeding is told of the joints that do.

@@ -15,6 +15,7 @@ use crate::mesh::Mesh;
 pub use crate::nets::{LoadOptions, Models, NetError};
 use crate::rig::detect_joints::DetectJointsError;
 pub use crate::rig::detect_joints::Fineness as LevelOfDetail;
+use crate::rig::locked_weights::Locks;
 use crate::rig::skin_weights::Trim;
 pub use crate::rig::verdict::{Quality, Verdict};
 pub use crate::rig::{Rig, Skeleton};
@@ -168,6 +169,23 @@ pub struct Subject<'a> {
     pub to_upright: DMat3,
 }
 
+/// A skeleton that is there, and what of it takes part.
+#[derive(Clone, Copy, Debug)]
+pub struct Given<'a> {
+    /// In upload space.
+    pub skeleton: &'a Skeleton,
+    /// `[J]`: joints that may move vertices; `None`: all.
+    pub deforms: Option<&'a [bool]>,
+    /// Joints that keep the weights they had.
+    pub locks: Option<Locks<'a>>,
+}
+
+impl<'a> From<&'a Skeleton> for Given<'a> {
+    fn from(skeleton: &'a Skeleton) -> Self {
+        Self { skeleton, deforms: None, locks: None }
+    }
+}
+
 /// How the work is watched and stopped from outside.
 #[derive(Clone, Copy)]
 pub struct Watch<'a> {
@@ -222,6 +240,8 @@ pub enum RigError {
     NoExtent,
     #[error("no joints were found: {tried}")]
     NoJointsFound { tried: String },
+    #[error("vertex {vertex} has the locked joints {joints}, but max_influences is {limit}")]
+    NoRoomForLocked { vertex: usize, joints: String, limit: usize },
     #[error("method {method} is not available: {reason}")]
     MethodUnavailable { method: &'static str, reason: String },
     #[error(transparent)]
@@ -254,6 +274,7 @@ impl RigError {
         match self {
             Self::NoExtent => "no_geometry",
             Self::NoJointsFound { .. } => "no_joints_found",
+            Self::NoRoomForLocked { .. } => "not_riggable",
             Self::MethodUnavailable { .. } => "model_unavailable",
             Self::Net(NetError::NotFinite { .. }) => "numerical_failure",
             Self::Net(_) => "internal",
@@ -266,6 +287,9 @@ impl RigError {
         match self {
             Self::NoExtent => "export the mesh again and check its scale",
             Self::NoJointsFound { .. } => "try a higher `detail`, or check that the mesh is one character, upright",
+            Self::NoRoomForLocked { .. } => {
+                "raise max_influences, so that one joint more than the locked ones fits, or lock fewer"
+            }
             Self::MethodUnavailable { .. } => "see GET /v1/methods or `rigsmith methods` for what runs here",
             Self::Net(error) => error.hint(),
             Self::Cancelled(_) => "",
@@ -283,16 +307,15 @@ pub fn rig(subject: Subject, models: &Models, options: &RigOptions, watch: Watch
     }
 }
 
-/// Weighs the vertices of `subject` over `skeleton` (upload space), by the skin method that `options` name. The skeleton
-/// stays as it is.
-pub fn skin(
+/// Weighs the vertices of `subject` over the `given` joints, by the skin method that `options` name. The skeleton stays as it is.
+pub fn skin<'a>(
     subject: Subject,
-    skeleton: &Skeleton,
+    given: impl Into<Given<'a>>,
     models: &Models,
     options: &RigOptions,
     watch: Watch,
 ) -> Result<Rigged, RigError> {
-    skin::skin(subject, skeleton, SkinNets::of(options.skin_method, models)?, options, watch)
+    skin::skin(subject, given.into(), SkinNets::of(options.skin_method, models)?, options, watch)
 }
 
 /// Why `method` cannot run here; `None` when it can.

@@ -8,6 +8,7 @@ use super::transfer::transferred;
 use super::{Facts, RigError, RigOptions, Rigged, Stage, Subject, Symmetry, Watch};
 use crate::geometry::symmetry_plane::SymmetryPlane;
 use crate::nets::rignet::{RigNets, ShapeGraph};
+use crate::rig::deforming::Deforming;
 use crate::rig::detect_joints::{DetectedJoints, Evidence, detect_joints};
 use crate::rig::spanning_tree::{BoneCosts, OutsideRule, Tree, minimum_spanning_tree, symmetric_spanning_tree};
 use crate::rig::{Rig, Skeleton};
@@ -40,12 +41,13 @@ pub(super) fn rig(
     let skeleton = connect(&shape, &graph, nets, &detected, watch)?;
 
     watch.enter(Stage::Skin)?;
-    let (skin, vertices_by_nearest_bone) = weigh(&shape, Some(&graph), &skeleton, skin_nets, options, watch)?;
+    let joints = Deforming::all(&skeleton);
+    let (skin, vertices_by_nearest_bone) = weigh(&shape, Some(&graph), &joints, skin_nets, options, watch)?;
 
     let quality = judged(&shape, &skeleton, &skin, plane.as_ref());
 
     watch.enter(Stage::Transfer)?;
-    let transferred = transferred(&subject, &shape, &skeleton, &skin, options);
+    let transferred = transferred(&subject, &shape, &skeleton, &skin, None, options)?;
     let to_upload = |point: DVec3| subject.normalization.invert(point);
     let facts = Facts {
         working_vertices: shape.mesh.positions.len(),

@@ -13,7 +13,7 @@ use super::heter_skin::WeighedBones;
 use super::prepared::{Prepared, SYMMETRIC_FROM};
 use super::shape::Shape;
 use super::transfer::transferred;
-use super::{Facts, RigError, RigOptions, Rigged, SkinMethod, Stage, Subject, Symmetry, Watch};
+use super::{Facts, Given, RigError, RigOptions, Rigged, SkinMethod, Stage, Subject, Symmetry, Watch};
 use crate::geometry::symmetry_plane::SymmetryPlane;
 use crate::geometry::volumetric_geodesic::Segment;
 use crate::nets::Models;
@@ -21,6 +21,7 @@ use crate::nets::heter_skin_net::HeterSkinNet;
 use crate::nets::rignet::{RigNets, ShapeGraph};
 use crate::rig::bone_features::{BONE_CHANNELS, NEAREST_BONES, bone_features};
 use crate::rig::bone_weights::{BoneWeights, PRUNE_SHARE, SMOOTHINGS, TRACE_SHARE};
+use crate::rig::deforming::Deforming;
 use crate::rig::distance_falloff::{FALLOFF, VOXEL_SMOOTHINGS, VOXEL_TRACE_SHARE, falloff_weights};
 use crate::rig::heat_weights::HEAT_TRACE_SHARE;
 use crate::rig::heter_graph::LINK_PRUNE_SHARE;
@@ -31,10 +32,10 @@ use glam::DVec3;
 use ndarray::ArrayView2;
 use std::borrow::Cow;
 
-/// Weighs the vertices of `subject` over `skeleton` by `nets`.
+/// Weighs the vertices of `subject` over the `given` joints by `nets`.
 pub(super) fn skin(
     subject: Subject,
-    skeleton: &Skeleton,
+    given: Given,
     nets: SkinNets,
     options: &RigOptions,
     watch: Watch,
@@ -44,19 +45,24 @@ pub(super) fn skin(
     if options.symmetry != Symmetry::Off {
         subject.face_the_front();
     }
-    let normalised = skeleton.mapped(|point| subject.normalization.apply(point));
+    let normalised = given.skeleton.mapped(|point| subject.normalization.apply(point));
+    let joints = match given.deforms {
+        Some(deforms) => Deforming::new(&normalised, deforms),
+        None => Deforming::all(&normalised),
+    };
 
     watch.enter(Stage::Geometry)?;
     let shape = Shape::new(subject.working.mesh.clone());
 
     watch.enter(Stage::Skin)?;
-    let (skin, vertices_by_nearest_bone) = weigh(&shape, None, &normalised, nets, options, watch)?;
+    let (skin, vertices_by_nearest_bone) = weigh(&shape, None, &joints, nets, options, watch)?;
+    let skin = joints.in_whole(skin);
 
     let plane = (shape.symmetry.score >= SYMMETRIC_FROM).then_some(&shape.symmetry);
     let quality = judged(&shape, &normalised, &skin, plane);
 
     watch.enter(Stage::Transfer)?;
-    let transferred = transferred(&subject, &shape, &normalised, &skin, options);
+    let transferred = transferred(&subject, &shape, &normalised, &skin, given.locks.as_ref(), options)?;
     let facts = Facts {
         working_vertices: shape.mesh.positions.len(),
         working_triangles: shape.mesh.triangles.len(),
@@ -69,7 +75,7 @@ pub(super) fn skin(
         vertices_mirrored: transferred.mirrored,
         quality,
     };
-    Ok(Rigged { rig: Rig { skeleton: skeleton.clone(), skin: transferred.skin }, facts })
+    Ok(Rigged { rig: Rig { skeleton: given.skeleton.clone(), skin: transferred.skin }, facts })
 }
 
 /// What can be said of the rig of the working mesh.
@@ -113,23 +119,23 @@ impl<'a> SkinNets<'a> {
     }
 }
 
-/// Weights of the working mesh's vertices over the joints of `skeleton` (normalised frame). Second: vertices that no weight
+/// Weights of the working mesh's vertices over `joints` (normalised frame). Second: vertices that no weight
 /// reached, which follow their nearest bone. `graph` is that of `shape`, if it is at hand.
 pub(super) fn weigh(
     shape: &Shape,
     graph: Option<&ShapeGraph>,
-    skeleton: &Skeleton,
+    joints: &Deforming,
     nets: SkinNets,
     options: &RigOptions,
     watch: Watch,
 ) -> Result<(SkinWeights, usize), RigError> {
     let made = || graph.map_or_else(|| Cow::Owned(shape.graph(options.seed)), Cow::Borrowed);
-    let bones = skeleton.bones();
+    let bones = joints.bones();
     let (weights, nearest) = match nets {
         SkinNets::RigNet(nets) => by_rignet(shape, &made(), nets, &bones, watch)?,
-        SkinNets::HeterSkinNet(net) => by_heter_skin_net(shape, &made(), net, skeleton, watch)?,
-        SkinNets::Falloff => by_falloff(shape, skeleton, watch)?,
-        SkinNets::Heat => by_heat(shape, skeleton, watch)?,
+        SkinNets::HeterSkinNet(net) => by_heter_skin_net(shape, &made(), net, joints, watch)?,
+        SkinNets::Falloff => by_falloff(shape, joints, watch)?,
+        SkinNets::Heat => by_heat(shape, joints, watch)?,
     };
     let weights = spread(weights, shape, options.smooth);
     Ok(SkinWeights::from_bones(&weights, &bones, &nearest, options.trim()))
@@ -165,11 +171,11 @@ fn by_heter_skin_net(
     shape: &Shape,
     graph: &ShapeGraph,
     net: &HeterSkinNet,
-    skeleton: &Skeleton,
+    joints: &Deforming,
     watch: Watch,
 ) -> Result<(BoneWeights, Vec<u32>), RigError> {
-    let weighed = WeighedBones::new(shape, skeleton, watch.cancellation)?;
-    let links = weighed.heter_graph(shape, skeleton);
+    let weighed = weighed_bones(shape, joints, watch)?;
+    let links = weighed.heter_graph(shape, &joints.skeleton);
     watch.cancellation.check()?;
     let logits = net.link_logits(graph, &links, watch.cancellation)?;
     let weights = links.weights(logits.iter().copied(), &weighed.bones).pruned(LINK_PRUNE_SHARE);
@@ -177,16 +183,20 @@ fn by_heter_skin_net(
 }
 
 /// Falloff of distances through voxels. Second: the nearest bones `[V, K]`.
-fn by_falloff(shape: &Shape, skeleton: &Skeleton, watch: Watch) -> Result<(BoneWeights, Vec<u32>), RigError> {
-    let weighed = WeighedBones::new(shape, skeleton, watch.cancellation)?;
+fn by_falloff(shape: &Shape, joints: &Deforming, watch: Watch) -> Result<(BoneWeights, Vec<u32>), RigError> {
+    let weighed = weighed_bones(shape, joints, watch)?;
     let weights = falloff_weights(&weighed.voxel_distance, &weighed.bones, &FALLOFF);
     Ok((smoothed(weights, shape, VOXEL_SMOOTHINGS).pruned(VOXEL_TRACE_SHARE), weighed.nearest_bones()))
 }
 
 /// Heat over distances through voxels. Second: the nearest bones `[V, K]`.
-fn by_heat(shape: &Shape, skeleton: &Skeleton, watch: Watch) -> Result<(BoneWeights, Vec<u32>), RigError> {
-    let weighed = WeighedBones::new(shape, skeleton, watch.cancellation)?;
+fn by_heat(shape: &Shape, joints: &Deforming, watch: Watch) -> Result<(BoneWeights, Vec<u32>), RigError> {
+    let weighed = weighed_bones(shape, joints, watch)?;
     Ok((weighed.heat(shape).pruned(HEAT_TRACE_SHARE), weighed.nearest_bones()))
+}
+
+fn weighed_bones(shape: &Shape, joints: &Deforming, watch: Watch) -> Result<WeighedBones, RigError> {
+    Ok(WeighedBones::new(shape, &joints.skeleton, &joints.bones(), watch.cancellation)?)
 }
 
 fn smoothed(mut weights: BoneWeights, shape: &Shape, times: usize) -> BoneWeights {

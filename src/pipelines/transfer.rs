@@ -2,9 +2,10 @@
 
 use super::prepared::Prepared;
 use super::shape::Shape;
-use super::{RigOptions, Symmetry};
+use super::{RigError, RigOptions, Symmetry};
 use crate::geometry::mirror_images::mirror_images;
 use crate::geometry::transfer::transfer_map;
+use crate::rig::locked_weights::Locks;
 use crate::rig::mirror_weights::joint_twins;
 use crate::rig::{Skeleton, SkinWeights};
 
@@ -15,20 +16,33 @@ pub(super) struct Transferred {
     pub(super) mirrored: Option<usize>,
 }
 
-/// `skin` is of the working mesh; `skeleton` in the normalised frame.
+/// `skin` is of the working mesh; `skeleton` in the normalised frame; `locks` are of the upload's vertices.
 pub(super) fn transferred(
     subject: &Prepared,
     shape: &Shape,
     skeleton: &Skeleton,
     skin: &SkinWeights,
+    locks: Option<&Locks>,
     options: &RigOptions,
-) -> Transferred {
+) -> Result<Transferred, RigError> {
     let trim = options.trim();
     let skin = skin.transferred(&transfer_map(&subject.original, &subject.working), trim);
-    let Some(plane) = shape.mirror_plane(options.mirror_weights) else {
-        return Transferred { skin, mirrored: (options.mirror_weights != Symmetry::Off).then_some(0) };
+    let (skin, mirrored) = match shape.mirror_plane(options.mirror_weights) {
+        Some(plane) => {
+            let images = mirror_images(&subject.original, &plane);
+            let (skin, mirrored) = skin.mirrored(&images, &joint_twins(skeleton, &plane), trim);
+            (skin, Some(mirrored))
+        }
+        None => (skin, (options.mirror_weights != Symmetry::Off).then_some(0)),
     };
-    let images = mirror_images(&subject.original, &plane);
-    let (skin, mirrored) = skin.mirrored(&images, &joint_twins(skeleton, &plane), trim);
-    Transferred { skin, mirrored: Some(mirrored) }
+    let Some(locks) = locks else { return Ok(Transferred { skin, mirrored }) };
+    let skin = skin.with_locked(locks, skeleton, trim).map_err(|full| {
+        let name = |&joint: &u32| skeleton.joints.get(joint as usize).map_or("", |joint| joint.name.as_str());
+        RigError::NoRoomForLocked {
+            vertex: full.vertex,
+            joints: full.joints.iter().map(name).collect::<Vec<_>>().join(", "),
+            limit: trim.max_influences,
+        }
+    })?;
+    Ok(Transferred { skin, mirrored })
 }

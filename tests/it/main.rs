@@ -18,6 +18,7 @@ mod metamorphic;
 mod operation;
 mod pipeline;
 mod program;
+mod reskin;
 mod revision;
 #[path = "../stand_ins/s3.rs"]
 mod s3;

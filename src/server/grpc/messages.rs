@@ -125,6 +125,8 @@ impl From<RequestView> for RigOptions {
             symmetry: text(symmetry),
             skin_method: text(skin_method),
             skeleton,
+            non_deforming: options.non_deforming,
+            locked_joints: options.locked_joints,
             max_influences: u32::try_from(options.max_influences).ok(),
             smooth: Some(options.smooth),
             prune: Some(options.prune),

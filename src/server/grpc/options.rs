@@ -30,6 +30,8 @@ fn given(options: RigOptions) -> Vec<(&'static str, Value)> {
         symmetry,
         skin_method,
         skeleton,
+        non_deforming,
+        locked_joints,
         max_influences,
         smooth,
         prune,
@@ -44,7 +46,7 @@ fn given(options: RigOptions) -> Vec<(&'static str, Value)> {
         retention_hours,
         labels,
     } = options;
-    let outputs = if outputs.is_empty() { None } else { Some(Value::from(outputs)) };
+    let list = |names: Vec<String>| if names.is_empty() { None } else { Some(Value::from(names)) };
     let labels = labels.into_iter().map(|(name, value)| (name, Value::from(value))).collect::<serde_json::Map<_, _>>();
     let labels = if labels.is_empty() { None } else { Some(Value::Object(labels)) };
     let fields = [
@@ -54,6 +56,8 @@ fn given(options: RigOptions) -> Vec<(&'static str, Value)> {
         ("symmetry", symmetry.map(Value::from)),
         ("skin_method", skin_method.map(Value::from)),
         ("skeleton", skeleton.map(Value::from)),
+        ("non_deforming", list(non_deforming)),
+        ("locked_joints", list(locked_joints)),
         ("max_influences", max_influences.map(Value::from)),
         ("smooth", smooth.map(number)),
         ("prune", prune.map(number)),
@@ -62,7 +66,7 @@ fn given(options: RigOptions) -> Vec<(&'static str, Value)> {
         ("up", up.map(Value::from)),
         ("front", front.map(Value::from)),
         ("existing_rig", existing_rig.map(Value::from)),
-        ("outputs", outputs),
+        ("outputs", list(outputs)),
         ("priority", priority.map(Value::from)),
         ("timeout_seconds", timeout_seconds.map(Value::from)),
         ("retention_hours", retention_hours.map(Value::from)),

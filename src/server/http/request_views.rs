@@ -40,6 +40,16 @@ pub struct OptionsView {
     #[param(required = false)]
     #[schema(example = json!(null), required = false)]
     pub skeleton: Option<String>,
+    /// Joints of a skeleton that is there which must not move vertices, such as targets of inverse kinematics: names, or patterns
+    /// with `*` and `?`. They stay in the skeleton, without weights. In a query or form, separated by commas.
+    #[param(required = false, style = Form, explode = false)]
+    #[schema(example = json!(["IK_*"]), required = false)]
+    pub non_deforming: Vec<String>,
+    /// Joints of a skeleton that is there which keep the weights that they have in the file, or in the `skins` of `skeleton`; the others
+    /// share what is left. Named as `non_deforming`.
+    #[param(required = false, style = Form, explode = false)]
+    #[schema(example = json!(["Head"]), required = false)]
+    pub locked_joints: Vec<String>,
     /// Joints per vertex at most; 4 unless given.
     #[param(required = false, minimum = 1, maximum = 8)]
     #[schema(example = 4, minimum = 1, maximum = 8, required = false)]
@@ -68,7 +78,8 @@ pub struct OptionsView {
     #[param(required = false)]
     #[schema(example = "auto", required = false)]
     pub front: &'static str,
-    /// For a file that has a skeleton; `reject` unless given.
+    /// For a file that has a skeleton; `reject` unless given. `reskin` keeps it as it is, with names, order, orientations and all
+    /// other nodes, and makes new weights.
     #[param(required = false, value_type = ExistingRigName)]
     #[schema(example = "reject", required = false, value_type = ExistingRigName)]
     pub existing_rig: &'static str,
@@ -192,7 +203,9 @@ impl From<&RigOptions> for OptionsView {
             bandwidth,
             symmetry: options.symmetry.name(),
             skin_method: skin_method_name(options.skin_method),
-            skeleton: options.skeleton.as_ref().map(|skeleton| format!("{} joints", skeleton.joints.len())),
+            skeleton: options.skeleton.as_ref().map(|given| format!("{} joints", given.skeleton.joints.len())),
+            non_deforming: options.non_deforming.clone(),
+            locked_joints: options.locked_joints.clone(),
             max_influences: options.max_influences,
             smooth: options.smooth,
             prune: options.prune,

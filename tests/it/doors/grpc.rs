@@ -166,6 +166,8 @@ fn options(members: &Value) -> RigOptions {
             "bandwidth" => options.bandwidth = value.as_f64(),
             "symmetry" => options.symmetry = text(),
             "max_influences" => options.max_influences = value.as_u64().map(|number| number as u32),
+            "non_deforming" => options.non_deforming = names(value),
+            "locked_joints" => options.locked_joints = names(value),
             "smooth" => options.smooth = value.as_f64(),
             "prune" => options.prune = value.as_f64(),
             "mirror_weights" => options.mirror_weights = text(),
@@ -175,10 +177,7 @@ fn options(members: &Value) -> RigOptions {
             "priority" => options.priority = text(),
             "timeout_seconds" => options.timeout_seconds = value.as_u64(),
             "skeleton" => options.skeleton = text(),
-            "outputs" => {
-                let names = value.as_array().expect("a list").iter();
-                options.outputs = names.map(|name| name.as_str().expect("a text").to_owned()).collect();
-            }
+            "outputs" => options.outputs = names(value),
             "labels" => {
                 let labels = value.as_object().expect("labels").iter();
                 options.labels =
@@ -188,6 +187,10 @@ fn options(members: &Value) -> RigOptions {
         }
     }
     options
+}
+
+fn names(list: &Value) -> Vec<String> {
+    list.as_array().expect("a list").iter().map(|name| name.as_str().expect("a text").to_owned()).collect()
 }
 
 fn name(state: State) -> String {
@@ -233,6 +236,7 @@ pub fn rig_json(rig: Rig) -> Value {
             "method": wanted.method, "detail": wanted.detail, "bandwidth": wanted.bandwidth, "symmetry": wanted.symmetry,
             "skin_method": wanted.skin_method, "skeleton": wanted.skeleton, "max_influences": wanted.max_influences,
             "smooth": wanted.smooth, "prune": wanted.prune, "mirror_weights": wanted.mirror_weights,
+            "non_deforming": wanted.non_deforming, "locked_joints": wanted.locked_joints,
             "seed": wanted.seed, "up": wanted.up, "front": wanted.front, "existing_rig": wanted.existing_rig,
             "outputs": wanted.outputs, "priority": wanted.priority, "timeout_seconds": wanted.timeout_seconds,
             "retention_hours": wanted.retention_hours, "labels": wanted.labels,
