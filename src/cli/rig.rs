@@ -53,6 +53,9 @@ pub struct AnySkeletonArguments {
     /// What weighs the vertices: auto, rignet, heter_skin_net, geodesic_voxel or geodesic_heat.
     #[arg(long, value_name = "NAME")]
     skin_method: Option<String>,
+    /// What may weigh them where that cannot run here, in this order, separated by commas.
+    #[arg(long, value_name = "NAMES")]
+    skin_fallback: Option<String>,
     /// Most joints that may move one vertex, 1 to 8.
     #[arg(long, value_name = "N")]
     max_influences: Option<String>,
@@ -103,6 +106,7 @@ impl AnySkeletonArguments {
         vec![
             ("symmetry", &self.symmetry),
             ("skin_method", &self.skin_method),
+            ("skin_fallback", &self.skin_fallback),
             ("max_influences", &self.max_influences),
             ("smooth", &self.smooth),
             ("prune", &self.prune),
@@ -199,6 +203,9 @@ fn summarise(outputs: &[PathBuf], outcome: &Outcome, watch: &Watch) {
     let seconds: f64 = watch.timings().iter().map(|timing| timing.duration.as_secs_f64()).sum();
     let names: Vec<String> = outputs.iter().map(|path| path.display().to_string()).collect();
     eprintln!("{} joints by {} in {seconds:.1} s: {}", outcome.joint_count(), outcome.method_used, names.join(", "));
+    if let Some((method, reason)) = outcome.skin_choice() {
+        eprintln!("skin by {method}: {reason}");
+    }
     for finding in &outcome.findings {
         let hint = if finding.hint.is_empty() { String::new() } else { format!(" ({})", finding.hint) };
         eprintln!("note: {}{hint}", finding.message);

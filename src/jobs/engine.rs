@@ -13,6 +13,7 @@ use crate::formats::preview::{self, PreviewOptions};
 use crate::formats::{
     self, Asset, Axes, Axis, DecodeError, DecodeOptions, Finding, Limits, Severity, Siblings, rig_json, rignet_text,
 };
+use crate::pipelines::skin_choice::{SkinChoice, choose_skin};
 use crate::pipelines::{self, LoadOptions, Method, Models, Rig, RigError, Rigged, Subject, orientation};
 
 /// Makes rigs with the networks of one models folder.
@@ -37,12 +38,14 @@ impl Engine {
         watch: &Watch,
     ) -> Result<Outcome, JobError> {
         let method = method_of(options)?;
-        let method_used = report::method_used(method, options);
+        let choice = choose_skin(options.skin_method, &options.skin_fallback, &self.models)
+            .map_err(|error| rig_failure(&error, watch))?;
+        let method_used = report::method_used(method, options, choice);
         let mut upload = Upload::read(file_name, bytes, siblings, options, &self.limits, watch)?;
         let subject = Subject { mesh: &upload.asset.mesh, to_upright: upload.orientation.rotation() };
         let on_stage = |stage| watch.enter(Stage::from(stage));
         let pipeline_watch = pipelines::Watch { cancellation: watch.cancellation(), on_stage: &on_stage };
-        let wanted = pipeline_options(method, options);
+        let wanted = pipeline_options(method, options, choice);
         let joints = GivenJoints::of(options, &upload.asset).map_err(|error| staged(error, watch))?;
         let rigged = match &joints {
             None => pipelines::rig(subject, &self.models, &wanted, pipeline_watch),
@@ -51,8 +54,8 @@ impl Engine {
         let rigged = rigged.map_err(|error| rig_failure(&error, watch))?;
         watch.check()?;
         watch.enter(Stage::Export);
-        upload.findings.extend(report::findings(&rigged));
-        let facts = report::facts(method, options, &upload, &rigged, &self.models);
+        upload.findings.extend(report::findings(&rigged, choice));
+        let facts = report::facts(method, options, choice, &upload, &rigged, &self.models);
         let artifacts = options
             .outputs
             .iter()
@@ -145,6 +148,16 @@ impl Rigger for Engine {
         Method::ALL.into_iter().map(|method| report::method_info(method, &self.models, &self.limits)).collect()
     }
 
+    fn unavailable(&self, options: &RigOptions) -> Option<String> {
+        let method = method_of(options).ok()?;
+        // A skeleton that is there needs no network for its joints. One that comes beside the options is not seen here, so the
+        // job itself may still find that it could have run.
+        if let Some(reason) = pipelines::unavailable(method, &self.models).filter(|_| !options.keeps_skeleton()) {
+            return Some(format!("method {} cannot run here: {reason}", method.name()));
+        }
+        choose_skin(options.skin_method, &options.skin_fallback, &self.models).err().map(|error| error.to_string())
+    }
+
     fn ready(&self) -> Readiness {
         let reasons: Vec<String> =
             Method::ALL.into_iter().filter_map(|method| pipelines::unavailable(method, &self.models)).collect();
@@ -165,12 +178,12 @@ fn method_of(options: &RigOptions) -> Result<Method, JobError> {
     })
 }
 
-fn pipeline_options(method: Method, options: &RigOptions) -> pipelines::RigOptions {
+fn pipeline_options(method: Method, options: &RigOptions, choice: SkinChoice) -> pipelines::RigOptions {
     pipelines::RigOptions {
         method,
         level_of_detail: options.level_of_detail,
         symmetry: options.symmetry,
-        skin_method: options.skin_method.unwrap_or_default(),
+        skin_method: choice.method,
         max_influences: options.max_influences,
         smooth: options.smooth,
         prune: options.prune,

@@ -88,7 +88,8 @@ pub use options::{
 };
 pub use page::{NoPage, Page};
 pub use perform::{
-    Artifact, Availability, MethodInfo, ModelInfo, NamedFile, Outcome, Readiness, RigRequest, Rigger, Timing, Watch,
+    Artifact, Availability, MethodInfo, ModelInfo, NamedFile, Outcome, Readiness, RigRequest, Rigger, SkinMethodInfo,
+    Timing, Watch,
 };
 pub use queue::{Jobs, StartError};
 pub use settings::Settings;

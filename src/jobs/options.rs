@@ -21,6 +21,8 @@ pub struct RigOptions {
     pub symmetry: Symmetry,
     /// What weighs the vertices; `None`: the service chooses.
     pub skin_method: Option<SkinMethod>,
+    /// What may weigh them where that cannot run here, in this order.
+    pub skin_fallback: Vec<SkinMethod>,
     /// A skeleton in upload space to make weights for, instead of making one. It stays as it is.
     pub skeleton: Option<Arc<GivenSkeleton>>,
     /// Names or patterns of joints of a given skeleton that must not move vertices.
@@ -51,6 +53,7 @@ impl Default for RigOptions {
             level_of_detail: LevelOfDetail::Detail(DEFAULT_DETAIL),
             symmetry: Symmetry::Auto,
             skin_method: None,
+            skin_fallback: Vec::new(),
             skeleton: None,
             non_deforming: Vec::new(),
             locked_joints: Vec::new(),
@@ -93,6 +96,7 @@ impl RigOptions {
             "bandwidth": bandwidth,
             "symmetry": self.symmetry.name(),
             "skin_method": skin_method_name(self.skin_method),
+            "skin_fallback": self.skin_fallback.iter().map(|method| method.name()).collect::<Vec<_>>(),
             "skeleton": self.skeleton.as_deref().map(|given| rig_json::skeleton_json(&given.skeleton, &given.rows)),
             "non_deforming": self.non_deforming,
             "locked_joints": self.locked_joints,
@@ -152,6 +156,15 @@ impl Words for Option<SkinMethod> {
         (SkinMethod::HeterSkinNet.name(), Some(SkinMethod::HeterSkinNet)),
         (SkinMethod::GeodesicVoxel.name(), Some(SkinMethod::GeodesicVoxel)),
         (SkinMethod::GeodesicHeat.name(), Some(SkinMethod::GeodesicHeat)),
+    ];
+}
+
+impl Words for SkinMethod {
+    const WORDS: &'static [(&'static str, Self)] = &[
+        (Self::RigNet.name(), Self::RigNet),
+        (Self::HeterSkinNet.name(), Self::HeterSkinNet),
+        (Self::GeodesicVoxel.name(), Self::GeodesicVoxel),
+        (Self::GeodesicHeat.name(), Self::GeodesicHeat),
     ];
 }
 

@@ -78,6 +78,7 @@ impl OptionsReader {
         "bandwidth",
         "symmetry",
         "skin_method",
+        "skin_fallback",
         "skeleton",
         "non_deforming",
         "locked_joints",
@@ -158,6 +159,7 @@ impl OptionsReader {
             "bandwidth" => options.level_of_detail = LevelOfDetail::Bandwidth(number(raw, BANDWIDTH)?),
             "symmetry" => options.symmetry = word(raw)?,
             "skin_method" => options.skin_method = word(raw)?,
+            "skin_fallback" => options.skin_fallback = listed(raw)?,
             "skeleton" => options.skeleton = Some(skeleton(raw)?),
             "non_deforming" => options.non_deforming = patterns(raw)?,
             "locked_joints" => options.locked_joints = patterns(raw)?,
@@ -169,7 +171,12 @@ impl OptionsReader {
             "up" => options.up = axis(raw)?,
             "front" => options.front = axis(raw)?,
             "existing_rig" => options.existing_rig = word(raw)?,
-            "outputs" => options.outputs = outputs(raw)?,
+            "outputs" => {
+                options.outputs = listed(raw)?;
+                if options.outputs.is_empty() {
+                    return Err(format!("is empty; name some of {}", Output::choices()));
+                }
+            }
             _ => return Err("known, but nobody reads it".to_owned()),
         }
         Ok(())
@@ -232,15 +239,9 @@ fn skeleton(raw: Raw) -> Result<Arc<GivenSkeleton>, String> {
     read.map(given).map_err(|error| format!("{error}; {}", error.hint()))
 }
 
-/// Names of joints, or patterns of names. In text separated by commas.
+/// Names of joints, or patterns of names.
 fn patterns(raw: Raw) -> Result<Vec<String>, String> {
-    let names: Vec<&str> = match raw {
-        Raw::Text(text) => text.split(',').map(str::trim).filter(|name| !name.is_empty()).collect(),
-        Raw::Json(Value::Array(values)) => {
-            values.iter().map(|value| text(Raw::Json(value))).collect::<Result<_, _>>()?
-        }
-        Raw::Json(_) => return Err(format!("{raw} is not a list")),
-    };
+    let names = texts(raw)?;
     if names.len() > PATTERNS_MAX {
         return Err(format!("{} names are more than {PATTERNS_MAX}; a pattern such as IK_* names many", names.len()));
     }
@@ -248,6 +249,27 @@ fn patterns(raw: Raw) -> Result<Vec<String>, String> {
         Some(name) => Err(format!("{} is no name of 1 to {PATTERN_LENGTH_MAX} bytes", Raw::Text(name))),
         None => Ok(names.into_iter().map(str::to_owned).collect()),
     }
+}
+
+/// A list of texts; in text separated by commas.
+fn texts(raw: Raw<'_>) -> Result<Vec<&str>, String> {
+    match raw {
+        Raw::Text(text) => Ok(text.split(',').map(str::trim).filter(|name| !name.is_empty()).collect()),
+        Raw::Json(Value::Array(values)) => values.iter().map(|value| text(Raw::Json(value))).collect(),
+        Raw::Json(_) => Err(format!("{raw} is not a list")),
+    }
+}
+
+/// A list of words, each once.
+fn listed<W: Words>(raw: Raw) -> Result<Vec<W>, String> {
+    let mut words = Vec::new();
+    for name in texts(raw)? {
+        let word = word::<W>(Raw::Text(name))?;
+        if !words.contains(&word) {
+            words.push(word);
+        }
+    }
+    Ok(words)
 }
 
 fn method(raw: Raw) -> Result<Option<String>, String> {
@@ -270,24 +292,6 @@ fn axis(raw: Raw) -> Result<Option<Axis>, String> {
         .find(|axis| axis.name() == signed)
         .map(Some)
         .ok_or_else(|| format!("{raw} is not one of auto, x, -x, y, -y, z, -z"))
-}
-
-fn outputs(raw: Raw) -> Result<Vec<Output>, String> {
-    let names: Vec<&str> = match raw {
-        Raw::Text(text) => text.split(',').map(str::trim).collect(),
-        Raw::Json(Value::Array(values)) => {
-            values.iter().map(|value| text(Raw::Json(value))).collect::<Result<_, _>>()?
-        }
-        Raw::Json(_) => return Err(format!("{raw} is not a list")),
-    };
-    let mut outputs = Vec::new();
-    for name in names {
-        let output = word::<Output>(Raw::Text(name))?;
-        if !outputs.contains(&output) {
-            outputs.push(output);
-        }
-    }
-    if outputs.is_empty() { Err(format!("is empty; name some of {}", Output::choices())) } else { Ok(outputs) }
 }
 
 #[cfg(test)]
@@ -313,6 +317,7 @@ mod tests {
             ("detail", "0.75", json!(0.75)),
             ("symmetry", "off", json!("off")),
             ("skin_method", "geodesic_voxel", json!("geodesic_voxel")),
+            ("skin_fallback", "geodesic_heat,rignet", json!(["geodesic_heat", "rignet"])),
             ("skeleton", &file.to_string(), file.clone()),
             ("non_deforming", "IK_*, pole", json!(["IK_*", "pole"])),
             ("locked_joints", "head", json!(["head"])),
@@ -336,6 +341,7 @@ mod tests {
             level_of_detail: LevelOfDetail::Detail(0.75),
             symmetry: Symmetry::Off,
             skin_method: Some(SkinMethod::GeodesicVoxel),
+            skin_fallback: vec![SkinMethod::GeodesicHeat, SkinMethod::RigNet],
             skeleton: Some(Arc::new(GivenSkeleton {
                 skeleton: rig_json::read(file.to_string().as_bytes()).expect("reads").skeleton,
                 rows: vec![vec![Influence { joint: 0, weight: 1.0 }]],
@@ -391,6 +397,7 @@ mod tests {
                 "\"heat\" is not one of auto, rignet, heter_skin_net, geodesic_voxel, geodesic_heat",
             ),
             ("skeleton", json!({ "format": "rigsmith.rig/1", "joints": [] }), "no joints"),
+            ("skin_fallback", json!(["heat"]), "\"heat\" is not one of rignet"),
             ("non_deforming", json!("IK_*"), "is not a list"),
             ("non_deforming", json!([""]), "is no name"),
             ("locked_joints", json!(vec!["a"; 101]), "101 names are more than 100"),

@@ -4,25 +4,26 @@
 
 use super::engine::Upload;
 use super::options::RigOptions;
-use super::perform::{Availability, MethodInfo, ModelInfo};
+use super::perform::{Availability, MethodInfo, ModelInfo, SkinMethodInfo};
 use crate::formats::{Finding, Limits, Severity};
-use crate::pipelines::{self, Facts, Method, Models, Quality, Rigged, Verdict};
+use crate::pipelines::skin_choice::{SkinChoice, skin_unavailable};
+use crate::pipelines::{self, Facts, Method, Models, Quality, Rigged, SkinMethod, Verdict};
 use serde_json::{Map, Value, json};
 
 /// The facts of a finished rig.
 pub fn facts(
     method: Method,
     options: &RigOptions,
+    choice: SkinChoice,
     upload: &Upload,
     rigged: &Rigged,
     models: &Models,
 ) -> Map<String, Value> {
     let (rig, facts) = (&rigged.rig, &rigged.facts);
-    let skin_method = options.skin_method.unwrap_or_default();
     let digests: Vec<Value> =
         models.statuses().iter().map(|model| json!({"name": model.name, "sha256": model.sha256})).collect();
     object(json!({
-        "method": method_used(method, options),
+        "method": method_used(method, options, choice),
         "service_version": env!("CARGO_PKG_VERSION"),
         "models": digests,
         "options": {
@@ -45,7 +46,8 @@ pub fn facts(
             "vertices": rig.skin.rows.len(),
             "max_influences": rig.skin.rows.iter().map(Vec::len).max().unwrap_or(0),
             "unweighted": 0,
-            "method": skin_method.name(),
+            "method": choice.method.name(),
+            "reason": choice.reason(),
             "by_nearest_bone": facts.vertices_by_nearest_bone,
             "mirrored": facts.vertices_mirrored,
         },
@@ -64,8 +66,8 @@ pub fn facts(
 }
 
 /// The name of what made the rig: the method, or for a skeleton that was there what weighed the vertices.
-pub fn method_used(method: Method, options: &RigOptions) -> &'static str {
-    if options.keeps_skeleton() { options.skin_method.unwrap_or_default().name() } else { method.name() }
+pub fn method_used(method: Method, options: &RigOptions, choice: SkinChoice) -> &'static str {
+    if options.keeps_skeleton() { choice.method.name() } else { method.name() }
 }
 
 /// The figures of [`Quality`]; bleeding is told of the joints that do.
@@ -90,9 +92,18 @@ fn quality(quality: &Quality, names: &[&str]) -> Value {
 const BLEED_TOLD: f64 = 0.005;
 
 /// What is worth telling about the rig besides its facts.
-pub fn findings(rigged: &Rigged) -> Vec<Finding> {
+pub fn findings(rigged: &Rigged, choice: SkinChoice) -> Vec<Finding> {
     let Facts { vertices_by_nearest_bone, joints_inside, ref joints_far_outside, .. } = rigged.facts;
     let mut findings = Vec::new();
+    if choice.in_place_of.is_some() {
+        findings.push(Finding {
+            code: "skin_fallback",
+            parts: Vec::new(),
+            severity: Severity::Warning,
+            message: choice.reason(),
+            hint: "ask the operator to have the networks repaired".into(),
+        });
+    }
     if let Some(first) = joints_far_outside.first().and_then(|&joint| rigged.rig.skeleton.joints.get(joint)) {
         findings.push(Finding {
             code: "joints_far_outside",
@@ -165,10 +176,7 @@ pub fn method_info(method: Method, models: &Models, limits: &Limits) -> MethodIn
         name: method.name().into(),
         title: title.into(),
         description: description.into(),
-        availability: match pipelines::unavailable(method, models) {
-            None => Availability::Available,
-            Some(reason) => Availability::Unavailable { reason },
-        },
+        availability: availability(pipelines::unavailable(method, models).or_else(|| default_skin_unavailable(models))),
         licence: models.licence().weights.clone(),
         // Any skin network may have a part in its rigs, so all are its networks: a kept result is of all their digests.
         models: models
@@ -180,6 +188,7 @@ pub fn method_info(method: Method, models: &Models, limits: &Limits) -> MethodIn
                 self_test: model.failure.clone().unwrap_or_else(|| "passed".into()),
             })
             .collect(),
+        skin_methods: skin_methods(models),
         limits: vec![
             ("bytes", limits.bytes_max),
             ("vertices", limits.vertices_max as u64),
@@ -188,6 +197,32 @@ pub fn method_info(method: Method, models: &Models, limits: &Limits) -> MethodIn
             ("unzip_ratio", limits.unzip_ratio_max),
         ],
     }
+}
+
+fn availability(unavailable: Option<String>) -> Availability {
+    unavailable.map_or(Availability::Available, |reason| Availability::Unavailable { reason })
+}
+
+/// Why a request that names no skin method would fail.
+fn default_skin_unavailable(models: &Models) -> Option<String> {
+    let best = SkinMethod::best();
+    let reason = skin_unavailable(best, models)?;
+    Some(format!(
+        "its skin method {} is not available ({reason}); requests that name another skin_method run",
+        best.name()
+    ))
+}
+
+fn skin_methods(models: &Models) -> Vec<SkinMethodInfo> {
+    let mut methods = SkinMethod::ALL;
+    methods.sort_by(|a, b| a.measured().all.total_cmp(&b.measured().all));
+    let info = |method: SkinMethod| SkinMethodInfo {
+        name: method.name(),
+        availability: availability(skin_unavailable(method, models)),
+        is_auto: method == SkinMethod::best(),
+        mean_l1: method.measured(),
+    };
+    methods.into_iter().map(info).collect()
 }
 
 fn orientation(upload: &Upload) -> Value {

@@ -5,6 +5,7 @@ mod prepared;
 pub mod rignet;
 pub mod shape;
 mod skin;
+pub mod skin_choice;
 pub mod survey;
 mod transfer;
 
@@ -51,13 +52,12 @@ impl Method {
 
 /// A way to weigh vertices over the bones of a skeleton.
 ///
-/// The default is the one with the least L1 on validation rigs with their own skeletons; `docs/models.md` has the table.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+/// The default is the best by measurement, see [`skin_choice`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SkinMethod {
     /// RigNet's skin network over volumetric geodesic distances [Xu et al. 2020, Section 4.3].
     RigNet,
     /// A network over the graph of mesh, skeleton and the links between them [Pan et al. 2021].
-    #[default]
     HeterSkinNet,
     /// Falloff of the way through voxels of the solid [Dionne and de Lasa 2013]; asks no network.
     GeodesicVoxel,
@@ -318,7 +318,7 @@ pub fn skin<'a>(
     skin::skin(subject, given.into(), SkinNets::of(options.skin_method, models)?, options, watch)
 }
 
-/// Why `method` cannot run here; `None` when it can.
+/// Why `method` cannot make skeletons here; `None` when it can.
 pub fn unavailable(method: Method, models: &Models) -> Option<String> {
     match method {
         Method::RigNet => models.rignet().err().map(str::to_owned),

@@ -24,4 +24,5 @@ mod revision;
 mod s3;
 mod shapes;
 mod skin;
+mod skin_choice;
 mod skin_options;

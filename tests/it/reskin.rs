@@ -231,12 +231,14 @@ fn moving_an_elbow_changes_weights_near_it_alone() {
         .iter()
         .map(|joint| joint["parent"].as_u64().map(|parent| parent as usize))
         .collect();
-    let children =
-        |joint: usize| (0..parents.len()).filter(move |&child| parents[child] == Some(joint)).collect::<Vec<_>>();
+    let mut children = vec![Vec::new(); parents.len()];
+    for (joint, parent) in parents.iter().enumerate() {
+        parent.iter().for_each(|&parent| children[parent].push(joint));
+    }
     // A joint between two others, farthest out: an elbow.
-    let between = (0..places.len()).filter(|&joint| parents[joint].is_some() && children(joint).len() == 1);
+    let between = (0..places.len()).filter(|&joint| parents[joint].is_some() && children[joint].len() == 1);
     let elbow = between.max_by(|&a, &b| places[a].x.total_cmp(&places[b].x)).expect("a chain");
-    let (above, below) = (parents[elbow].expect("a parent"), children(elbow)[0]);
+    let (above, below) = (parents[elbow].expect("a parent"), children[elbow][0]);
     let height = {
         let mesh = super::metamorphic::character();
         let (low, high) = mesh.bounding_box().expect("has vertices");

@@ -43,30 +43,6 @@ pub fn tube(start: DVec3, end: DVec3, radii: [f64; 2], around: u32, along: u32) 
     lathe(&(0..=along).map(ring).collect::<Vec<_>>())
 }
 
-pub fn sphere(centre: DVec3, radius: f64, around: u32) -> Mesh {
-    let steps = around / 2;
-    let ring = |step: u32| {
-        let pitch = std::f64::consts::PI * (f64::from(step) + 0.5) / f64::from(steps);
-        let point = |place: u32| {
-            let angle = std::f64::consts::TAU * f64::from(place) / f64::from(around);
-            centre + DVec3::new(pitch.sin() * angle.cos(), -pitch.cos(), pitch.sin() * angle.sin()) * radius
-        };
-        (0..around).map(point).collect()
-    };
-    lathe(&(0..steps).map(ring).collect::<Vec<_>>())
-}
-
-/// A box of twelve triangles.
-pub fn block(centre: DVec3, half: DVec3) -> Mesh {
-    let corner = |index: u32| {
-        let sign = |bit: u32| if index >> bit & 1 == 1 { 1.0 } else { -1.0 };
-        centre + half * DVec3::new(sign(0), sign(1), sign(2))
-    };
-    let faces = [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]];
-    let triangles = faces.iter().flat_map(|&[a, b, c, d]| [[a, b, c], [a, c, d]]).collect();
-    Mesh { positions: (0..8).map(corner).collect(), triangles }
-}
-
 /// One mesh of several, and where the vertices of each begin.
 pub fn joined(parts: &[Mesh]) -> (Mesh, Vec<usize>) {
     let (mut mesh, mut starts) = (Mesh::default(), Vec::new());

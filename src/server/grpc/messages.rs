@@ -124,6 +124,7 @@ impl From<RequestView> for RigOptions {
             bandwidth,
             symmetry: text(symmetry),
             skin_method: text(skin_method),
+            skin_fallback: options.skin_fallback.into_iter().map(str::to_owned).collect(),
             skeleton,
             non_deforming: options.non_deforming,
             locked_joints: options.locked_joints,

@@ -35,6 +35,11 @@ pub struct OptionsView {
     #[param(required = false, value_type = SkinMethodName)]
     #[schema(example = "auto", required = false, value_type = SkinMethodName)]
     pub skin_method: &'static str,
+    /// Skin methods that may take the place of one that cannot run here, in this order; none unless given. `result.skin.reason` and a
+    /// warning say so when one does. In a query or form, separated by commas.
+    #[param(required = false, style = Form, explode = false, value_type = Vec<String>)]
+    #[schema(example = json!([]), required = false, value_type = Vec<String>)]
+    pub skin_fallback: Vec<&'static str>,
     /// A skeleton to make weights for, instead of making one: the text of a `rig.json`, of which `format` and `joints` are
     /// read; in JSON also as an object. It stays as it is. A job shows how many joints it has.
     #[param(required = false)]
@@ -203,6 +208,7 @@ impl From<&RigOptions> for OptionsView {
             bandwidth,
             symmetry: options.symmetry.name(),
             skin_method: skin_method_name(options.skin_method),
+            skin_fallback: options.skin_fallback.iter().map(|method| method.name()).collect(),
             skeleton: options.skeleton.as_ref().map(|given| format!("{} joints", given.skeleton.joints.len())),
             non_deforming: options.non_deforming.clone(),
             locked_joints: options.locked_joints.clone(),

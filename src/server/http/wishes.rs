@@ -37,7 +37,7 @@ const NOT_HERE: &[(&str, &str)] = &[
     ("leaf_joints", "there are none beyond the joints that the method finds"),
     ("height_meters", "the scale of the file is kept"),
     ("animation", "no clip is made"),
-    ("fallback", "a method that fails says so; ask for another one then"),
+    ("fallback", "skin_fallback names what may weigh in place of a method that cannot run here"),
     ("expert", "bandwidth is a field of its own"),
     ("webhook", "follow links.events, or ask with Prefer: wait"),
 ];

@@ -91,7 +91,7 @@ async fn orders_give_the_same_rigs_and_refusals() {
                 order(
                     "ok 2",
                     json!({"detail": 0.7, "symmetry": "off", "max_influences": 8, "smooth": 0.25, "prune": 0.01, "mirror_weights": "auto",
-                "non_deforming": ["IK_*"], "locked_joints": ["Head"], "seed": 5, "up": "-z",
+                "skin_fallback": ["geodesic_heat"], "non_deforming": ["IK_*"], "locked_joints": ["Head"], "seed": 5, "up": "-z",
                 "existing_rig": "replace", "outputs": ["glb", "rig_json"], "priority": "low", "timeout_seconds": 20,
                 "labels": {"project": "b"}}),
                 ),
