@@ -11,6 +11,7 @@ use rigsmith::rig::bone_weights::{BoneWeights, PRUNE_SHARE};
 use rigsmith::rig::detect_joints::{Evidence, Fineness, detect_joints};
 use rigsmith::rig::joint_clustering::{MeanShift, mean_shift};
 use rigsmith::rig::skeleton::Bone;
+use rigsmith::rig::skin_weights::Trim;
 use rigsmith::rig::spanning_tree::{BoneCosts, Tree, symmetric_spanning_tree};
 use rigsmith::rig::symmetrize::Side;
 use std::hint::black_box;
@@ -88,14 +89,16 @@ fn skin(criterion: &mut Criterion) {
         let features = bone_features(&distance, &bones);
         let weights = BoneWeights::from_logits(&logits, &features, bones.len());
         let weights = weights.one_ring_mean(&one_ring).pruned(PRUNE_SHARE);
-        rigsmith::rig::SkinWeights::from_bones(&weights, &bones, &features.nearest, 4).0
+        rigsmith::rig::SkinWeights::from_bones(&weights, &bones, &features.nearest, Trim::USUAL).0
     };
     criterion.bench_function("skin/assembly/5000x60", |bench| bench.iter(|| black_box(assemble())));
     let skin = assemble();
     let blends: Vec<[(u32, f64); 3]> = (0..original_count)
         .map(|k| std::array::from_fn(|corner| (((k + corner * 7) % vertex_count) as u32, [0.5, 0.3, 0.2][corner])))
         .collect();
-    criterion.bench_function("transfer/weights/150000", |bench| bench.iter(|| skin.transferred(black_box(&blends), 4)));
+    criterion.bench_function("transfer/weights/150000", |bench| {
+        bench.iter(|| skin.transferred(black_box(&blends), Trim::USUAL))
+    });
 }
 
 criterion_group!(benches, clustering, connecting, skin);

@@ -50,6 +50,7 @@ fn new_job(number: usize, callers: usize) -> NewJob {
         workers: 0,
         unfinished_max: None,
         asset_retention: RETENTION,
+        webhook: None,
     }
 }
 

@@ -87,7 +87,7 @@ fn features(input: &Arrays, key: &str) -> Result<Arrays, NpzError> {
     if input.0.contains_key(&format!("{key}/joints")) {
         let skeleton = skeleton(points(array("joints")?), &array("parents")?.to_f64());
         put_skeleton(&mut output, key, &shape, &skeleton);
-        let weighed = WeighedBones::new(&shape, &skeleton, &Cancellation::default())
+        let weighed = WeighedBones::new(&shape, &skeleton, &skeleton.bones(), &Cancellation::default())
             .map_err(|error| NpzError::Array { name: format!("{key}/joints"), cause: error.to_string() })?;
         put_heter_graph(&mut output, key, &weighed.heter_graph(&shape, &skeleton));
     }

@@ -3,20 +3,30 @@
 use super::EngineOptions;
 use super::failure::Failure;
 use rigsmith::jobs::{Availability, Engine, Rigger};
+use rigsmith::pipelines::skin_choice::MeasuredL1;
 
 pub fn run(engine: &EngineOptions) -> Result<(), Failure> {
     let methods = Engine::open(&engine.load_options(1))?.methods();
     for method in methods {
-        let state = match &method.availability {
-            Availability::Available => "available".to_owned(),
-            Availability::Unavailable { reason } => format!("NOT AVAILABLE: {reason}"),
-        };
-        println!("{}: {} ({state})", method.name, method.title);
+        println!("{}: {} ({})", method.name, method.title, state(&method.availability));
         println!("  {}", method.description);
         println!("  licence of the weights: {}", method.licence);
         for model in method.models {
             println!("  {:<22} self-test {:<8} sha256 {}", model.name, model.self_test, model.sha256);
         }
+        println!("  skin methods, by mean L1 to the artists' weights on validation rigs (organic, box models, all):");
+        for skin in method.skin_methods {
+            let MeasuredL1 { organic, boxes, all } = skin.mean_l1;
+            let auto = if skin.is_auto { ", auto" } else { "" };
+            println!("  {:<22} {organic:.2} {boxes:.2} {all:.2} ({}{auto})", skin.name, state(&skin.availability));
+        }
     }
     Ok(())
+}
+
+fn state(availability: &Availability) -> String {
+    match availability {
+        Availability::Available => "available".to_owned(),
+        Availability::Unavailable { reason } => format!("NOT AVAILABLE: {reason}"),
+    }
 }

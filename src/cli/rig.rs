@@ -60,9 +60,21 @@ pub struct AnySkeletonArguments {
     /// --skin-method is given); off rigs it like any other.
     #[arg(long, value_name = "auto|off")]
     boxes: Option<String>,
+    /// What may weigh them where that cannot run here, in this order, separated by commas.
+    #[arg(long, value_name = "NAMES")]
+    skin_fallback: Option<String>,
     /// Most joints that may move one vertex, 1 to 8.
     #[arg(long, value_name = "N")]
     max_influences: Option<String>,
+    /// How far weights run into each other along the surface, never across a gap: 0 (not at all) to 1.
+    #[arg(long, value_name = "0..1")]
+    smooth: Option<String>,
+    /// Drop weights below this share of a vertex's, 0 to 0.5; 0.001 unless given.
+    #[arg(long, value_name = "SHARE")]
+    prune: Option<String>,
+    /// Make the weights of left and right alike, where mesh and joints are: auto, on or off.
+    #[arg(long, value_name = "auto|on|off")]
+    mirror_weights: Option<String>,
     /// Fixes what the mesh does not decide.
     #[arg(long, value_name = "N")]
     seed: Option<String>,
@@ -72,9 +84,15 @@ pub struct AnySkeletonArguments {
     /// The axis that the character faces.
     #[arg(long, value_name = "AXIS", allow_hyphen_values = true)]
     front: Option<String>,
-    /// What to do with a file that is rigged already: reject or replace.
-    #[arg(long, value_name = "reject|replace")]
+    /// What to do with a file that is rigged already: reject, replace, or reskin, which keeps its skeleton and makes new weights.
+    #[arg(long, value_name = "reject|replace|reskin")]
     existing_rig: Option<String>,
+    /// Joints of a skeleton that is there which must not move vertices: names or patterns ('IK_*'), separated by commas.
+    #[arg(long, alias = "no-deform", value_name = "NAMES")]
+    non_deforming: Option<String>,
+    /// Joints of a skeleton that is there which keep the weights that they had, named alike; the others share what is left.
+    #[arg(long, alias = "lock", value_name = "NAMES")]
+    locked_joints: Option<String>,
 }
 
 impl OptionArguments {
@@ -97,11 +115,17 @@ impl AnySkeletonArguments {
             ("symmetry", &self.symmetry),
             ("skin_method", &self.skin_method),
             ("boxes", &self.boxes),
+            ("skin_fallback", &self.skin_fallback),
             ("max_influences", &self.max_influences),
+            ("smooth", &self.smooth),
+            ("prune", &self.prune),
+            ("mirror_weights", &self.mirror_weights),
             ("seed", &self.seed),
             ("up", &self.up),
             ("front", &self.front),
             ("existing_rig", &self.existing_rig),
+            ("non_deforming", &self.non_deforming),
+            ("locked_joints", &self.locked_joints),
         ]
     }
 }
@@ -188,6 +212,9 @@ fn summarise(outputs: &[PathBuf], outcome: &Outcome, watch: &Watch) {
     let seconds: f64 = watch.timings().iter().map(|timing| timing.duration.as_secs_f64()).sum();
     let names: Vec<String> = outputs.iter().map(|path| path.display().to_string()).collect();
     eprintln!("{} joints by {} in {seconds:.1} s: {}", outcome.joint_count(), outcome.method_used, names.join(", "));
+    if let Some((method, reason)) = outcome.skin_choice() {
+        eprintln!("skin by {method}: {reason}");
+    }
     for finding in &outcome.findings {
         let hint = if finding.hint.is_empty() { String::new() } else { format!(" ({})", finding.hint) };
         eprintln!("note: {}{hint}", finding.message);

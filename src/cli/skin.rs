@@ -1,24 +1,25 @@
-//! `rigsmith skin`: weights for a skeleton that the caller has.
+//! `rigsmith skin`: weights for a skeleton that is there.
 
 use super::EngineOptions;
 use super::failure::Failure;
 use super::rig::{AnySkeletonArguments, ResultArguments, make};
 use clap::Args;
-use rigsmith::jobs::read_skeleton;
+use rigsmith::jobs::{ExistingRigPolicy, read_skeleton};
 use std::path::PathBuf;
 
 /// Weigh a mesh over a skeleton of your own.
 ///
-/// The skeleton stays as it is: names, order, parents and positions. It is read from a .glb that
-/// holds one, or from a rig.json (`rigsmith.rig/1`), where only `format` and `joints` are needed: `{"format": "rigsmith.rig/1", "joints": [{"name": "hips", "parent": null,
+/// The skeleton stays as it is. Without --skeleton it is that of the mesh's own file (GLB, glTF or FBX): its names, order, orientations and
+/// further nodes come back in the output. With --skeleton it is read from a .glb or .fbx that holds one, or from a rig.json
+/// (`rigsmith.rig/1`), where only `format` and `joints` are needed: `{"format": "rigsmith.rig/1", "joints": [{"name": "hips", "parent": null,
 /// "position": [0, 1, 0]}, ...]}`, parents by index and before their children, positions in the mesh's own coordinates.
 #[derive(Args)]
 pub struct SkinArguments {
     /// The mesh: .glb, .gltf, .obj, .ply, .stl, .fbx, or a .zip of one with its textures.
     input: PathBuf,
-    /// The skeleton: .rig.json or .glb.
+    /// The skeleton, unless it is in the file itself: .rig.json, .glb or .fbx.
     #[arg(long, value_name = "FILE")]
-    skeleton: PathBuf,
+    skeleton: Option<PathBuf>,
     #[command(flatten)]
     options: AnySkeletonArguments,
     #[command(flatten)]
@@ -27,8 +28,13 @@ pub struct SkinArguments {
 
 pub fn run(arguments: &SkinArguments, engine: &EngineOptions) -> Result<(), Failure> {
     let mut options = arguments.options.read(&arguments.results.kinds()?)?;
-    let path = &arguments.skeleton;
-    let bytes = std::fs::read(path).map_err(|error| Failure::unreadable(path, &error))?;
-    options.skeleton = Some(read_skeleton(&bytes).map_err(|error| Failure::job(path, &error))?);
+    match &arguments.skeleton {
+        Some(path) => {
+            let bytes = std::fs::read(path).map_err(|error| Failure::unreadable(path, &error))?;
+            let read = read_skeleton(&bytes, !options.locked_joints.is_empty());
+            options.skeleton = Some(read.map_err(|error| Failure::job(path, &error))?);
+        }
+        None => options.existing_rig = ExistingRigPolicy::Reskin,
+    }
     make(&arguments.input, &options, &arguments.results, engine)
 }

@@ -93,6 +93,11 @@ pub fn refuse_foreign(head: &[u8]) -> Result<(), DecodeError> {
     }
 }
 
+/// Whether these bytes are an FBX file, binary or text.
+pub fn is_fbx(bytes: &[u8]) -> bool {
+    by_magic(bytes).or_else(|| by_text(bytes)) == Some(Kind::Mesh(Format::Fbx))
+}
+
 fn by_magic(bytes: &[u8]) -> Option<Kind> {
     let ply_line_end = |byte: Option<&u8>| matches!(byte, Some(b'\n' | b'\r' | b' '));
     if bytes.starts_with(b"glTF") {

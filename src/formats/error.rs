@@ -1,5 +1,6 @@
 //! Why an upload is refused. One variant per refusal; each knows its stable code and the sender's next step.
 
+use super::rig_json::RigFileError;
 use std::fmt;
 
 /// Why an upload is not a mesh that can be worked on. Every variant is the sender's to fix.
@@ -41,6 +42,11 @@ pub enum DecodeError {
     MissingResource { name: String },
     #[error("the file is already rigged: {skins} skin(s), {joints} joint(s)")]
     AlreadyRigged { skins: usize, joints: usize },
+    #[error("the file has no skeleton to keep")]
+    NotRigged,
+    /// The skeleton that came with the file cannot be kept.
+    #[error(transparent)]
+    OldRig(#[from] RigFileError),
     #[error("{what} has {found} bytes, more than the limit of {limit}")]
     TooLarge { what: String, found: u64, limit: u64 },
     #[error("the mesh has {found} vertices, more than the limit of {limit}")]
@@ -117,6 +123,8 @@ impl DecodeError {
             | Self::AllDegenerate { .. } => "no_geometry",
             Self::MissingResource { .. } => "missing_resource",
             Self::AlreadyRigged { .. } => "already_rigged",
+            Self::NotRigged => "skeleton_invalid",
+            Self::OldRig(error) => error.code(),
             Self::TooLarge { .. } | Self::TooMany { .. } => "too_large",
             Self::TooManyVertices { .. } => "too_many_vertices",
             Self::TooManyFaces { .. } => "too_many_faces",
@@ -147,7 +155,12 @@ impl DecodeError {
             Self::MissingResource { name } => {
                 format!("send {name} along, or everything in one zip, or export as GLB, which holds all in one file")
             }
-            Self::AlreadyRigged { .. } => "set existing_rig to replace to rig it anew".into(),
+            Self::AlreadyRigged { .. } => {
+                "set existing_rig to replace to rig it anew, or to reskin to keep its skeleton and make new weights"
+                    .into()
+            }
+            Self::NotRigged => "send a file with a skin or bones, or a skeleton of its own beside the mesh".into(),
+            Self::OldRig(error) => error.hint().into(),
             Self::TooLarge { .. } => "make the textures smaller or decimate the mesh".into(),
             Self::TooManyVertices { limit, .. } => format!("decimate below {limit} vertices"),
             Self::TooManyFaces { limit, .. } => format!("decimate below {limit} faces"),

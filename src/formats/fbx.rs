@@ -9,15 +9,16 @@
 //! indices refused instead of clamped.
 
 use super::fbx_materials::Materials;
+use super::fbx_skeleton::{FbxSkeleton, posed};
 use super::scene::linear_from_srgb;
 use super::scene_builder::{Attributes, Corner, NONE, SceneBuilder};
 use super::soundness::{check_counts, check_position};
 use super::{
-    Asset, Axes, Axis, Contents, DecodeError, DecodeOptions, ExistingRig, Finding, Format, Limits, Part, Place,
-    Severity, Siblings, Source,
+    Asset, Axes, Axis, Contents, DecodeError, DecodeOptions, ExistingRig, ExistingRigPolicy, Finding, Format, Limits,
+    Part, Place, Severity, Siblings, Source,
 };
 use crate::mesh::Mesh;
-use glam::{DMat3, DVec3};
+use glam::{DMat3, DMat4, DVec3, Vec3};
 use ufbx::{CoordinateAxes, CoordinateAxis, ErrorType, IndexErrorHandling, LoadOpts};
 
 pub(super) const FORMAT: &str = "FBX";
@@ -37,14 +38,18 @@ pub fn decode(
     limits: &Limits,
     options: &DecodeOptions,
 ) -> Result<Asset, DecodeError> {
-    let root = ufbx::load_memory(bytes, load_options(bytes, limits)).map_err(|error| refusal(&error, bytes, limits))?;
+    let root = load(bytes, limits)?;
     let scene: &ufbx::Scene = &root;
     check_scene(scene, limits)?;
     let mut geometry = Geometry::new(limits);
+    let skeleton = if options.wants_old_rig() { FbxSkeleton::read(scene)? } else { None };
+    geometry.follows_pose = options.existing_rig == ExistingRigPolicy::Reskin;
     let mut materials = Materials::new(siblings, options, limits);
+    let mut meshes: Vec<&ufbx::Mesh> = Vec::new();
     for node in &scene.nodes {
         if let Some(mesh) = node.mesh.as_ref().filter(|mesh| mesh.num_triangles > 0) {
             geometry.add(node, mesh, &mut materials)?;
+            meshes.push(mesh);
         }
     }
     let (triangles, mut decoded, mut findings) = geometry.builder.finish(&geometry.attributes, &geometry.positions);
@@ -56,6 +61,9 @@ pub fn decode(
         animations: scene.anim_stacks.count,
         morph_targets: scene.blend_channels.count,
     };
+    if let Some(skeleton) = skeleton.as_ref().filter(|_| options.existing_rig == ExistingRigPolicy::Reskin) {
+        decoded.skeleton = Some(skeleton.scene_skeleton()?);
+    }
     Ok(Asset {
         format: Format::Fbx,
         mesh: Mesh { positions: geometry.positions, triangles },
@@ -63,9 +71,15 @@ pub fn decode(
         axes: (scene.settings.axes.up != CoordinateAxis::Unknown).then_some(Axes { up: Axis::PosY, front: Axis::PosZ }),
         contents,
         existing_rig: (skins + joints > 0).then_some(ExistingRig { skins, joints }),
+        old_rig: skeleton.map(|skeleton| skeleton.old_rig(&meshes)),
         findings,
         source: Source::Scene(decoded),
     })
+}
+
+/// The file as `ufbx` reads it.
+pub(super) fn load(bytes: &[u8], limits: &Limits) -> Result<ufbx::SceneRoot, DecodeError> {
+    ufbx::load_memory(bytes, load_options(bytes, limits)).map_err(|error| refusal(&error, bytes, limits))
 }
 
 fn load_options<'a>(bytes: &[u8], limits: &Limits) -> LoadOpts<'a> {
@@ -156,6 +170,8 @@ struct Geometry<'a> {
     attributes: Attributes,
     positions: Vec<DVec3>,
     parts: Vec<Part>,
+    /// Place skinned vertices where the bones of the file have them, so that a skeleton that is kept fits.
+    follows_pose: bool,
 }
 
 impl<'a> Geometry<'a> {
@@ -165,6 +181,7 @@ impl<'a> Geometry<'a> {
             attributes: Attributes::default(),
             positions: Vec::new(),
             parts: Vec::new(),
+            follows_pose: false,
         }
     }
 
@@ -174,12 +191,17 @@ impl<'a> Geometry<'a> {
         let linear = DMat3::from_cols_array(&[m.m00, m.m10, m.m20, m.m01, m.m11, m.m21, m.m02, m.m12, m.m22]);
         let origin = DVec3::new(m.m03, m.m13, m.m23);
         let first_row = self.positions.len();
+        let frames = if self.follows_pose { posed(node, mesh)? } else { None };
         for (index, vertex) in mesh.vertices.iter().enumerate() {
-            let position = linear * DVec3::new(vertex.x, vertex.y, vertex.z) + origin;
+            let place = DVec3::new(vertex.x, vertex.y, vertex.z);
+            let position = match &frames {
+                None => linear * place + origin,
+                Some(frames) => frames[index].transform_point3(place),
+            };
             check_position(position, FORMAT, || Place::Element(format!("vertex {index} of {name:?}")))?;
             self.positions.push(position);
         }
-        let first = self.add_attributes(mesh, linear);
+        let first = self.add_attributes(mesh, linear, frames.as_deref());
         let part = self.parts.len();
         let vertices = first_row..self.positions.len();
         self.parts.push(Part { name: name.clone(), mesh: part, primitive: 0, vertices });
@@ -207,19 +229,29 @@ impl<'a> Geometry<'a> {
     }
 
     /// Copies the mesh's attribute values and tells where they begin.
-    fn add_attributes(&mut self, mesh: &ufbx::Mesh, linear: DMat3) -> FirstValues {
+    fn add_attributes(&mut self, mesh: &ufbx::Mesh, linear: DMat3, frames: Option<&[DMat4]>) -> FirstValues {
         let first = FirstValues {
             normal: self.attributes.normals.len(),
             texture_coordinate: self.attributes.texture_coordinates.len(),
             color: self.attributes.colors.len(),
+            has_normal_per_corner: frames.is_some(),
         };
         // Normals go by the inverse transpose; of a singular transform nothing is left of them.
-        let normal_matrix = linear.inverse().transpose();
-        let normals = mesh.vertex_normal.values.iter().map(|normal| {
-            let normal = normal_matrix * DVec3::new(normal.x, normal.y, normal.z);
+        let moved = |linear: DMat3, normal: &ufbx::Vec3| {
+            let normal = linear.inverse().transpose() * DVec3::new(normal.x, normal.y, normal.z);
             normal.try_normalize().unwrap_or(DVec3::ZERO).as_vec3()
-        });
-        self.attributes.normals.extend(normals);
+        };
+        let given = &mesh.vertex_normal;
+        match frames {
+            None => self.attributes.normals.extend(given.values.iter().map(|normal| moved(linear, normal))),
+            // Every vertex turns in its own way, so corners that shared a normal may no longer.
+            Some(frames) => self.attributes.normals.extend(given.indices.iter().zip(mesh.vertex_indices.iter()).map(
+                |(&normal, &vertex)| {
+                    let frame = frames.get(vertex as usize).map_or(linear, |frame| DMat3::from_mat4(*frame));
+                    given.values.get(normal as usize).map_or(Vec3::ZERO, |normal| moved(frame, normal))
+                },
+            )),
+        }
         // FBX counts v from the bottom of the image, glTF from its top.
         let coordinates = mesh.vertex_uv.values.iter().map(|uv| [uv.x as f32, (1.0 - uv.y) as f32]);
         self.attributes.texture_coordinates.extend(coordinates);
@@ -237,6 +269,8 @@ struct FirstValues {
     normal: usize,
     texture_coordinate: usize,
     color: usize,
+    /// Normals stand by corner, not by the mesh's list.
+    has_normal_per_corner: bool,
 }
 
 impl FirstValues {
@@ -253,7 +287,11 @@ impl FirstValues {
         let (normal, uv, color) = (&mesh.vertex_normal, &mesh.vertex_uv, &mesh.vertex_color);
         Some(Corner {
             mesh_row: row as u32,
-            normal: value(&normal.indices, normal.values.count, self.normal),
+            normal: match self.has_normal_per_corner {
+                true if index < normal.indices.count => (self.normal + index) as u32,
+                true => NONE,
+                false => value(&normal.indices, normal.values.count, self.normal),
+            },
             texture_coordinate: value(&uv.indices, uv.values.count, self.texture_coordinate),
             color: value(&color.indices, color.values.count, self.color),
         })

@@ -7,12 +7,14 @@ mod detect;
 mod error;
 pub mod fbx;
 mod fbx_materials;
+mod fbx_skeleton;
 pub mod gltf;
 mod limits;
 mod mtl;
 pub mod npz;
 pub mod obj;
 mod obj_statements;
+mod old_rig;
 pub mod ply;
 mod ply_header;
 mod polygon;
@@ -28,9 +30,11 @@ mod text;
 mod textures;
 mod zip_directory;
 
-pub use detect::refuse_foreign;
+pub use detect::{is_fbx, refuse_foreign};
 pub use error::{DecodeError, ExceededLimit, Place};
+pub use fbx_skeleton::read_skeleton as read_fbx_skeleton;
 pub use limits::Limits;
+pub use old_rig::OldRig;
 pub use scene::{Alpha, Image, ImageType, Material, Scene, SceneNode, ScenePrimitive};
 pub use siblings::{NoSiblings, Siblings, relative_name};
 
@@ -81,6 +85,9 @@ pub fn decode_as(
     if let (Some(rig), ExistingRigPolicy::Reject) = (asset.existing_rig, options.existing_rig) {
         return Err(DecodeError::AlreadyRigged { skins: rig.skins, joints: rig.joints });
     }
+    if options.existing_rig == ExistingRigPolicy::Reskin && asset.old_rig.is_none() {
+        return Err(DecodeError::NotRigged);
+    }
     asset.findings.extend(soundness::check(&asset.mesh, &asset.parts, limits)?);
     Ok(asset)
 }
@@ -91,6 +98,14 @@ pub struct DecodeOptions {
     pub existing_rig: ExistingRigPolicy,
     /// Leave a texture out, with a finding, where the file refers to one that was not sent; otherwise that is refused.
     pub allow_missing_textures: bool,
+    /// Read [`Asset::old_rig`] even if its skeleton goes.
+    pub old_rig: bool,
+}
+
+impl DecodeOptions {
+    fn wants_old_rig(&self) -> bool {
+        self.old_rig || self.existing_rig == ExistingRigPolicy::Reskin
+    }
 }
 
 /// What to do with a file that is rigged already.
@@ -100,6 +115,8 @@ pub enum ExistingRigPolicy {
     Reject,
     /// Read it as if it had no rig; [`Asset::existing_rig`] says what was there.
     Replace,
+    /// Keep its skeleton as it is, for new weights.
+    Reskin,
 }
 
 /// A decoded upload: one mesh to rig, and all that is needed to give the same file back with a skin.
@@ -116,6 +133,8 @@ pub struct Asset {
     pub contents: Contents,
     /// A skeleton and skin that came with the file.
     pub existing_rig: Option<ExistingRig>,
+    /// The same in full, where [`DecodeOptions`] ask for it.
+    pub old_rig: Option<OldRig>,
     /// What was noticed while reading, for the report.
     pub findings: Vec<Finding>,
     /// What the output is made from.
@@ -128,7 +147,7 @@ impl Asset {
         let parts = vec![Part { name: name.into(), mesh: 0, primitive: 0, vertices: 0..mesh.positions.len() }];
         let contents = Contents { meshes: scene.nodes.len(), ..Contents::default() };
         let source = Source::Scene(scene);
-        Self { format, mesh, parts, axes: None, contents, existing_rig: None, findings, source }
+        Self { format, mesh, parts, axes: None, contents, existing_rig: None, old_rig: None, findings, source }
     }
 }
 

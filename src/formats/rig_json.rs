@@ -58,7 +58,11 @@ pub enum RigFileError {
     #[error("the format is {found:?}, expected {FORMAT:?}")]
     Format { found: String },
     #[error("the skeleton cannot be read: {problem}")]
-    Glb { problem: String },
+    Unreadable { problem: String },
+    #[error("there is no node above both of the joints {first:?} and {second:?}")]
+    Apart { first: String, second: String },
+    #[error("joint {name:?}: {problem}")]
+    Scale { name: String, problem: String },
     #[error("the skeleton has no joints")]
     NoJoints,
     #[error("the skeleton has {found} joints, but at most {JOINTS_MAX} are taken")]
@@ -75,7 +79,9 @@ impl RigFileError {
         match self {
             Self::Json { .. } => "invalid_json",
             Self::Format { .. }
-            | Self::Glb { .. }
+            | Self::Unreadable { .. }
+            | Self::Apart { .. }
+            | Self::Scale { .. }
             | Self::NoJoints
             | Self::TooManyJoints { .. }
             | Self::Joint { .. }
@@ -88,7 +94,9 @@ impl RigFileError {
         match self {
             Self::Json { .. } => "send the rig.json of an earlier rig, edited",
             Self::Format { .. } => "convert the file to this format, or fetch rig.json again",
-            Self::Glb { .. } => "send a GLB file with a skin, or a rig.json",
+            Self::Unreadable { .. } => "send a GLB file with a skin, an FBX file with bones, or a rig.json",
+            Self::Apart { .. } => "parent both to one node, such as an armature, and export again",
+            Self::Scale { .. } => "apply the scale of the skeleton in a modelling program and export again",
             Self::NoJoints => "give at least a root joint",
             Self::TooManyJoints { .. } => "leave helper joints out",
             Self::Joint { .. } => {
@@ -152,11 +160,15 @@ pub fn write(asset: &Asset, rig: &Rig, names: JointNames, method: &str, report: 
     serde_json::to_vec(&written).expect("plain data always serializes")
 }
 
-/// A skeleton alone, in the same layout: what [`read`] needs to give it back.
-pub fn skeleton_json(skeleton: &Skeleton) -> Value {
+/// A skeleton without a mesh, in the same layout: what [`read`] needs to give it back, and its weights where there are `rows`.
+pub fn skeleton_json(skeleton: &Skeleton, rows: &[Vec<Influence>]) -> Value {
     let joint =
         |joint: &Joint| json!({ "name": joint.name, "parent": joint.parent, "position": joint.position.to_array() });
-    json!({ "format": FORMAT, "joints": skeleton.joints.iter().map(joint).collect::<Vec<_>>() })
+    let mut file = json!({ "format": FORMAT, "joints": skeleton.joints.iter().map(joint).collect::<Vec<_>>() });
+    if !rows.is_empty() {
+        file["skins"] = json!([WrittenSkin { mesh: 0, primitive: 0, joints: rows, weights: rows }]);
+    }
+    file
 }
 
 #[derive(Deserialize)]

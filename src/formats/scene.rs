@@ -4,6 +4,8 @@
 //! That row index is the kept map from split vertices back to file vertices: skin weights are computed per row and
 //! copied to every split, so seams never open.
 
+use glam::DMat4;
+
 /// The parts of a file that its format calls objects, groups or meshes, and their looks.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Scene {
@@ -11,6 +13,28 @@ pub struct Scene {
     pub nodes: Vec<SceneNode>,
     pub materials: Vec<Material>,
     pub images: Vec<Image>,
+    /// The skeleton that the file came with, where it is kept.
+    pub skeleton: Option<SceneSkeleton>,
+}
+
+/// A node graph with joints, as the file has it: every node but those that only carry a mesh.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SceneSkeleton {
+    /// Parents before children, children in file order.
+    pub nodes: Vec<SkeletonNode>,
+    /// Index in `nodes` of each joint of the skin.
+    pub joints: Vec<usize>,
+    /// `[J]`: place in `joints` of each joint of [`OldRig::skeleton`](super::OldRig).
+    pub places: Vec<Option<u32>>,
+}
+
+/// One node of a skeleton.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SkeletonNode {
+    pub name: String,
+    pub parent: Option<usize>,
+    /// Relative to the parent: a translation, a rotation and a scale, in upload space's unit.
+    pub local: DMat4,
 }
 
 /// One named mesh.

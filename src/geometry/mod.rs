@@ -10,6 +10,7 @@ pub mod close_pairs;
 pub mod hollow_distance;
 mod hollow_search;
 pub mod medial_offset;
+pub mod mirror_images;
 pub mod neighbor_table;
 pub mod orientation;
 pub mod place_hash;

@@ -60,12 +60,24 @@ impl Check {
                 parts: Vec::new(),
                 severity: Severity::Warning,
                 message: "the file is already rigged; a rig request would be refused".into(),
-                hint: "set existing_rig to replace to rig it anew".into(),
+                hint:
+                    "set existing_rig to replace to rig it anew, or to reskin to keep its skeleton and make new weights"
+                        .into(),
+            });
+        }
+        let is_bare = asset.existing_rig.is_none() && options.existing_rig == ExistingRigPolicy::Reskin;
+        if is_bare {
+            findings.push(Finding {
+                code: "not_rigged",
+                parts: Vec::new(),
+                severity: Severity::Warning,
+                message: "the file has no skeleton to keep; a rig request would be refused".into(),
+                hint: "leave existing_rig out to have a skeleton made".into(),
             });
         }
         Self {
             riggable: match &survey {
-                Some(_) if is_refused => Riggable::Maybe,
+                Some(_) if is_refused || is_bare => Riggable::Maybe,
                 Some(_) => Riggable::Yes,
                 None => Riggable::No,
             },

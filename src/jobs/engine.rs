@@ -2,6 +2,7 @@
 
 use super::check::Check;
 use super::failure::{ErrorCode, JobError};
+use super::given_joints::GivenJoints;
 use super::options::{Boxes, Output, RigOptions};
 use super::perform::{Artifact, MethodInfo, Outcome, Readiness, RigRequest, Rigger, Watch};
 use super::report;
@@ -12,6 +13,7 @@ use crate::formats::preview::{self, PreviewOptions};
 use crate::formats::{
     self, Asset, Axes, Axis, DecodeError, DecodeOptions, Finding, Limits, Severity, Siblings, rig_json, rignet_text,
 };
+use crate::pipelines::skin_choice::{SkinChoice, choose_skin};
 use crate::pipelines::{self, LoadOptions, Method, Models, Rig, RigError, Rigged, Subject, orientation};
 
 /// Makes rigs with the networks of one models folder.
@@ -36,21 +38,24 @@ impl Engine {
         watch: &Watch,
     ) -> Result<Outcome, JobError> {
         let method = method_of(options)?;
-        let method_used = report::method_used(method, options);
+        let choice = choose_skin(options.skin_method, &options.skin_fallback, &self.models)
+            .map_err(|error| rig_failure(&error, watch))?;
+        let method_used = report::method_used(method, options, choice);
         let mut upload = Upload::read(file_name, bytes, siblings, options, &self.limits, watch)?;
         let subject = Subject { mesh: &upload.asset.mesh, to_upright: upload.orientation.rotation() };
         let on_stage = |stage| watch.enter(Stage::from(stage));
         let pipeline_watch = pipelines::Watch { cancellation: watch.cancellation(), on_stage: &on_stage };
-        let wanted = pipeline_options(method, options);
-        let rigged = match &options.skeleton {
+        let wanted = pipeline_options(method, options, choice);
+        let joints = GivenJoints::of(options, &upload.asset).map_err(|error| staged(error, watch))?;
+        let rigged = match &joints {
             None => pipelines::rig(subject, &self.models, &wanted, pipeline_watch),
-            Some(skeleton) => pipelines::skin(subject, skeleton, &self.models, &wanted, pipeline_watch),
+            Some(joints) => pipelines::skin(subject, joints.given(), &self.models, &wanted, pipeline_watch),
         };
         let rigged = rigged.map_err(|error| rig_failure(&error, watch))?;
         watch.check()?;
         watch.enter(Stage::Export);
-        upload.findings.extend(report::findings(&rigged));
-        let facts = report::facts(method, options, &upload, &rigged, &self.models);
+        upload.findings.extend(report::findings(&rigged, choice));
+        let facts = report::facts(method, options, choice, &upload, &rigged, &self.models);
         let artifacts = options
             .outputs
             .iter()
@@ -79,7 +84,7 @@ pub fn check_file(
 /// The upload of `request`, decoded as it was for its rig.
 pub(super) fn decoded(request: &RigRequest) -> Result<Asset, JobError> {
     let (main, siblings) = request.split()?;
-    let options = DecodeOptions { existing_rig: request.options.existing_rig, allow_missing_textures: false };
+    let options = DecodeOptions { existing_rig: request.options.existing_rig, ..DecodeOptions::default() };
     formats::decode(&main.name, &main.bytes, &siblings, &Limits::default(), &options)
         .map_err(|error| refusal(&error, &Watch::unattended()))
 }
@@ -104,7 +109,11 @@ impl Upload {
     ) -> Result<Self, JobError> {
         watch.check()?;
         watch.enter(Stage::Ingest);
-        let decode_options = DecodeOptions { existing_rig: options.existing_rig, allow_missing_textures: false };
+        let decode_options = DecodeOptions {
+            existing_rig: options.existing_rig,
+            old_rig: !options.locked_joints.is_empty(),
+            ..DecodeOptions::default()
+        };
         let asset = formats::decode(file_name, bytes, siblings, limits, &decode_options)
             .map_err(|error| refusal(&error, watch))?;
         watch.check()?;
@@ -121,7 +130,7 @@ impl Rigger for Engine {
         let (main, siblings) = request.split()?;
         let mut options = request.options.clone();
         if let Some(bytes) = &request.skeleton {
-            options.skeleton = Some(read_skeleton(bytes)?);
+            options.skeleton = Some(read_skeleton(bytes, !options.locked_joints.is_empty())?);
         }
         self.rig_file(&main.name, &main.bytes, &siblings, &options, watch)
     }
@@ -137,6 +146,16 @@ impl Rigger for Engine {
 
     fn methods(&self) -> Vec<MethodInfo> {
         Method::ALL.into_iter().map(|method| report::method_info(method, &self.models, &self.limits)).collect()
+    }
+
+    fn unavailable(&self, options: &RigOptions) -> Option<String> {
+        let method = method_of(options).ok()?;
+        // A skeleton that is there needs no network for its joints. One that comes beside the options is not seen here, so the
+        // job itself may still find that it could have run.
+        if let Some(reason) = pipelines::unavailable(method, &self.models).filter(|_| !options.keeps_skeleton()) {
+            return Some(format!("method {} cannot run here: {reason}", method.name()));
+        }
+        choose_skin(options.skin_method, &options.skin_fallback, &self.models).err().map(|error| error.to_string())
     }
 
     fn ready(&self) -> Readiness {
@@ -159,16 +178,19 @@ fn method_of(options: &RigOptions) -> Result<Method, JobError> {
     })
 }
 
-fn pipeline_options(method: Method, options: &RigOptions) -> pipelines::RigOptions {
+fn pipeline_options(method: Method, options: &RigOptions, choice: SkinChoice) -> pipelines::RigOptions {
     pipelines::RigOptions {
         method,
         level_of_detail: options.level_of_detail,
         symmetry: options.symmetry,
         fingers: options.fingers,
-        skin_method: options.skin_method.unwrap_or_default(),
+        skin_method: choice.method,
         boxes: options.boxes == Boxes::Auto,
-        rigid_boxes: options.boxes == Boxes::Auto && options.skin_method.is_none(),
+        rigid_boxes: options.boxes == Boxes::Auto && options.skin_method.is_none() && options.smooth == 0.0,
         max_influences: options.max_influences,
+        smooth: options.smooth,
+        prune: options.prune,
+        mirror_weights: options.mirror_weights,
         seed: options.seed,
     }
 }
@@ -241,7 +263,7 @@ fn encode(
     wanted: &RigOptions,
     facts: &serde_json::Map<String, serde_json::Value>,
 ) -> Result<Artifact, JobError> {
-    let names = if wanted.skeleton.is_some() { JointNames::AsGiven } else { JointNames::Plain };
+    let names = if wanted.keeps_skeleton() { JointNames::AsGiven } else { JointNames::Plain };
     encode_rig(output, asset, &rigged.rig, names, wanted.max_influences, method, facts)
 }
 

@@ -49,9 +49,11 @@ mod engine;
 pub mod event;
 mod exporting;
 pub mod failure;
+mod given_joints;
 mod history;
 pub mod ids;
 pub mod job;
+mod joint_pattern;
 mod keeper;
 mod keeping;
 mod looking;
@@ -88,12 +90,13 @@ pub use ids::{AssetId, BatchId, EndpointId, JobId, MessageId, NotAnId, UploadId}
 pub use job::{ArtifactInfo, FileInfo, Job, JobRequest, JobResult, JobState, Notice};
 pub use looking::Denied;
 pub use options::{
-    Boxes, DEFAULT_DETAIL, DEFAULT_MAX_INFLUENCES, ExistingRigPolicy, FieldError, FieldProblem, Fingers, LevelOfDetail,
-    OptionsReader, Output, RigOptions, Skeleton, SkinMethod, Symmetry,
+    Boxes, DEFAULT_DETAIL, DEFAULT_MAX_INFLUENCES, ExistingRigPolicy, FieldError, FieldProblem, Fingers, GivenSkeleton,
+    LevelOfDetail, OptionsReader, Output, RigOptions, Skeleton, SkinMethod, Symmetry,
 };
 pub use page::{NoPage, Page};
 pub use perform::{
-    Artifact, Availability, MethodInfo, ModelInfo, NamedFile, Outcome, Readiness, RigRequest, Rigger, Timing, Watch,
+    Artifact, Availability, MethodInfo, ModelInfo, NamedFile, Outcome, Readiness, RigRequest, Rigger, SkinMethodInfo,
+    Timing, Watch,
 };
 pub use queue::{Jobs, StartError};
 pub use resumable::{NewResumable, NotAdded, Resumable, ResumableState};

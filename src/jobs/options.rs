@@ -4,11 +4,13 @@ pub use super::options_reader::{FieldError, FieldProblem, OptionsReader};
 pub use crate::formats::ExistingRigPolicy;
 use crate::formats::{Axis, rig_json};
 pub use crate::pipelines::{Fingers, LevelOfDetail, Skeleton, SkinMethod, Symmetry};
+use crate::rig::Influence;
 use serde_json::Value;
 use std::sync::Arc;
 
 pub const DEFAULT_DETAIL: f64 = 0.5;
 pub const DEFAULT_MAX_INFLUENCES: usize = 4;
+pub const DEFAULT_PRUNE: f64 = 0.001;
 
 /// Options of one rig, defaults filled in.
 #[derive(Clone, Debug, PartialEq)]
@@ -22,10 +24,22 @@ pub struct RigOptions {
     pub skin_method: Option<SkinMethod>,
     /// What becomes of a character made of boxes.
     pub boxes: Boxes,
+    /// What may weigh them where that cannot run here, in this order.
+    pub skin_fallback: Vec<SkinMethod>,
     /// A skeleton in upload space to make weights for, instead of making one. It stays as it is.
-    pub skeleton: Option<Arc<Skeleton>>,
+    pub skeleton: Option<Arc<GivenSkeleton>>,
+    /// Names or patterns of joints of a given skeleton that must not move vertices.
+    pub non_deforming: Vec<String>,
+    /// Names or patterns of joints of a given skeleton that keep the weights they had.
+    pub locked_joints: Vec<String>,
     /// Joints per vertex at most.
     pub max_influences: usize,
+    /// How far weights run into each other along the surface, 0 to 1.
+    pub smooth: f64,
+    /// Weights below this share of a vertex's are dropped.
+    pub prune: f64,
+    /// Whether the weights of left and right are made alike.
+    pub mirror_weights: Symmetry,
     pub seed: u64,
     /// Overrides what the file says or what is detected.
     pub up: Option<Axis>,
@@ -44,8 +58,14 @@ impl Default for RigOptions {
             fingers: Fingers::Auto,
             skin_method: None,
             boxes: Boxes::Auto,
+            skin_fallback: Vec::new(),
             skeleton: None,
+            non_deforming: Vec::new(),
+            locked_joints: Vec::new(),
             max_influences: DEFAULT_MAX_INFLUENCES,
+            smooth: 0.0,
+            prune: DEFAULT_PRUNE,
+            mirror_weights: Symmetry::Off,
             seed: 0,
             up: None,
             front: None,
@@ -55,7 +75,20 @@ impl Default for RigOptions {
     }
 }
 
+/// A skeleton that the caller has, and its weights where some of them are to stay.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct GivenSkeleton {
+    pub skeleton: Skeleton,
+    /// One row per vertex of the mesh over the joints of the skeleton; none where no joint is locked.
+    pub rows: Vec<Vec<Influence>>,
+}
+
 impl RigOptions {
+    /// Whether a skeleton that is there stays, and only weights are made.
+    pub fn keeps_skeleton(&self) -> bool {
+        self.skeleton.is_some() || self.existing_rig == ExistingRigPolicy::Reskin
+    }
+
     /// Every field by its name, so that [`OptionsReader`](super::OptionsReader) reads the same options back.
     pub fn to_json(&self) -> Value {
         let (detail, bandwidth) = match self.level_of_detail {
@@ -70,8 +103,14 @@ impl RigOptions {
             "fingers": self.fingers.name(),
             "skin_method": skin_method_name(self.skin_method),
             "boxes": self.boxes.name(),
-            "skeleton": self.skeleton.as_deref().map(rig_json::skeleton_json),
+            "skin_fallback": self.skin_fallback.iter().map(|method| method.name()).collect::<Vec<_>>(),
+            "skeleton": self.skeleton.as_deref().map(|given| rig_json::skeleton_json(&given.skeleton, &given.rows)),
+            "non_deforming": self.non_deforming,
+            "locked_joints": self.locked_joints,
             "max_influences": self.max_influences,
+            "smooth": self.smooth,
+            "prune": self.prune,
+            "mirror_weights": self.mirror_weights.name(),
             "seed": self.seed,
             "up": axis_name(self.up),
             "front": axis_name(self.front),
@@ -145,9 +184,21 @@ impl Words for Option<SkinMethod> {
     ];
 }
 
+impl Words for SkinMethod {
+    const WORDS: &'static [(&'static str, Self)] = &[
+        (Self::RigNet.name(), Self::RigNet),
+        (Self::HeterSkinNet.name(), Self::HeterSkinNet),
+        (Self::GeodesicVoxel.name(), Self::GeodesicVoxel),
+        (Self::GeodesicHeat.name(), Self::GeodesicHeat),
+    ];
+}
+
 impl Words for ExistingRigPolicy {
-    const WORDS: &'static [(&'static str, Self)] =
-        &[("reject", ExistingRigPolicy::Reject), ("replace", ExistingRigPolicy::Replace)];
+    const WORDS: &'static [(&'static str, Self)] = &[
+        ("reject", ExistingRigPolicy::Reject),
+        ("replace", ExistingRigPolicy::Replace),
+        ("reskin", ExistingRigPolicy::Reskin),
+    ];
 }
 
 impl Words for Output {

@@ -1,9 +1,12 @@
 //! Reads options field by field, from text and from JSON. One reader serves the command line, query parameters, form
 //! fields and JSON, so a field has one name, one range and one message everywhere.
 
-use super::options::{Output, RigOptions, Words, axis_name};
-use crate::formats::{Axis, rig_json};
-use crate::pipelines::{LevelOfDetail, Skeleton};
+use super::joint_pattern::{PATTERN_LENGTH_MAX, PATTERNS_MAX};
+use super::options::{ExistingRigPolicy, GivenSkeleton, Output, RigOptions, Words, axis_name};
+use crate::formats::Axis;
+use crate::formats::rig_json::{self, RigFile};
+use crate::pipelines::LevelOfDetail;
+use crate::rig::Rig;
 use serde_json::Value;
 use std::fmt;
 use std::ops::RangeInclusive;
@@ -13,6 +16,9 @@ const DETAIL: RangeInclusive<f64> = 0.0..=1.0;
 /// In units of the normalised frame (longest side 1). The published RigNet uses 0.03 to 0.062.
 const BANDWIDTH: RangeInclusive<f64> = 0.005..=0.5;
 const MAX_INFLUENCES: RangeInclusive<u64> = 1..=8;
+const SMOOTH: RangeInclusive<f64> = 0.0..=1.0;
+/// More than half of a vertex would leave its heaviest joint alone, which `max_influences` 1 says better.
+const PRUNE: RangeInclusive<f64> = 0.0..=0.5;
 
 /// Why one field was refused.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -74,8 +80,14 @@ impl OptionsReader {
         "fingers",
         "skin_method",
         "boxes",
+        "skin_fallback",
         "skeleton",
+        "non_deforming",
+        "locked_joints",
         "max_influences",
+        "smooth",
+        "prune",
+        "mirror_weights",
         "seed",
         "up",
         "front",
@@ -103,6 +115,16 @@ impl OptionsReader {
         {
             let detail = format!("{} and up {} lie on one line", axis_name(Some(front)), axis_name(Some(up)));
             self.refuse("front", FieldProblem::Invalid, detail);
+        }
+        if self.options.skeleton.is_some() && self.options.existing_rig == ExistingRigPolicy::Reskin {
+            let detail = "keeps the skeleton of the file; leave skeleton out, or replace the one of the file";
+            self.refuse("existing_rig", FieldProblem::Invalid, format!("reskin {detail}"));
+        }
+        if self.options.locked_joints.is_empty()
+            && let Some(given) = self.options.skeleton.as_mut().filter(|given| !given.rows.is_empty())
+        {
+            // Weights that nobody keeps decide nothing.
+            *given = Arc::new(GivenSkeleton { skeleton: given.skeleton.clone(), rows: Vec::new() });
         }
         if self.errors.is_empty() { Ok(self.options) } else { Err(self.errors) }
     }
@@ -141,13 +163,24 @@ impl OptionsReader {
             "fingers" => options.fingers = word(raw)?,
             "skin_method" => options.skin_method = word(raw)?,
             "boxes" => options.boxes = word(raw)?,
+            "skin_fallback" => options.skin_fallback = listed(raw)?,
             "skeleton" => options.skeleton = Some(skeleton(raw)?),
+            "non_deforming" => options.non_deforming = patterns(raw)?,
+            "locked_joints" => options.locked_joints = patterns(raw)?,
             "max_influences" => options.max_influences = whole(raw, MAX_INFLUENCES)? as usize,
+            "smooth" => options.smooth = number(raw, SMOOTH)?,
+            "prune" => options.prune = number(raw, PRUNE)?,
+            "mirror_weights" => options.mirror_weights = word(raw)?,
             "seed" => options.seed = whole(raw, 0..=u64::MAX)?,
             "up" => options.up = axis(raw)?,
             "front" => options.front = axis(raw)?,
             "existing_rig" => options.existing_rig = word(raw)?,
-            "outputs" => options.outputs = outputs(raw)?,
+            "outputs" => {
+                options.outputs = listed(raw)?;
+                if options.outputs.is_empty() {
+                    return Err(format!("is empty; name some of {}", Output::choices()));
+                }
+            }
             _ => return Err("known, but nobody reads it".to_owned()),
         }
         Ok(())
@@ -198,13 +231,50 @@ fn word<W: Words>(raw: Raw) -> Result<W, String> {
     W::parse(text(raw)?).ok_or_else(|| format!("{raw} is not one of {}", W::choices()))
 }
 
-fn skeleton(raw: Raw) -> Result<Arc<Skeleton>, String> {
+fn skeleton(raw: Raw) -> Result<Arc<GivenSkeleton>, String> {
     let read = match raw {
         Raw::Text(text) => rig_json::read(text.as_bytes()),
         Raw::Json(Value::String(text)) => rig_json::read(text.as_bytes()),
         Raw::Json(value) => rig_json::read(value.to_string().as_bytes()),
     };
-    read.map(|file| Arc::new(file.skeleton)).map_err(|error| format!("{error}; {}", error.hint()))
+    let given = |file: RigFile| {
+        let Rig { skeleton, skin } = file.into_rig();
+        Arc::new(GivenSkeleton { skeleton, rows: skin.rows })
+    };
+    read.map(given).map_err(|error| format!("{error}; {}", error.hint()))
+}
+
+/// Names of joints, or patterns of names.
+fn patterns(raw: Raw) -> Result<Vec<String>, String> {
+    let names = texts(raw)?;
+    if names.len() > PATTERNS_MAX {
+        return Err(format!("{} names are more than {PATTERNS_MAX}; a pattern such as IK_* names many", names.len()));
+    }
+    match names.iter().find(|name| !(1..=PATTERN_LENGTH_MAX).contains(&name.len())) {
+        Some(name) => Err(format!("{} is no name of 1 to {PATTERN_LENGTH_MAX} bytes", Raw::Text(name))),
+        None => Ok(names.into_iter().map(str::to_owned).collect()),
+    }
+}
+
+/// A list of texts; in text separated by commas.
+fn texts(raw: Raw<'_>) -> Result<Vec<&str>, String> {
+    match raw {
+        Raw::Text(text) => Ok(text.split(',').map(str::trim).filter(|name| !name.is_empty()).collect()),
+        Raw::Json(Value::Array(values)) => values.iter().map(|value| text(Raw::Json(value))).collect(),
+        Raw::Json(_) => Err(format!("{raw} is not a list")),
+    }
+}
+
+/// A list of words, each once.
+fn listed<W: Words>(raw: Raw) -> Result<Vec<W>, String> {
+    let mut words = Vec::new();
+    for name in texts(raw)? {
+        let word = word::<W>(Raw::Text(name))?;
+        if !words.contains(&word) {
+            words.push(word);
+        }
+    }
+    Ok(words)
 }
 
 fn method(raw: Raw) -> Result<Option<String>, String> {
@@ -229,30 +299,12 @@ fn axis(raw: Raw) -> Result<Option<Axis>, String> {
         .ok_or_else(|| format!("{raw} is not one of auto, x, -x, y, -y, z, -z"))
 }
 
-fn outputs(raw: Raw) -> Result<Vec<Output>, String> {
-    let names: Vec<&str> = match raw {
-        Raw::Text(text) => text.split(',').map(str::trim).collect(),
-        Raw::Json(Value::Array(values)) => {
-            values.iter().map(|value| text(Raw::Json(value))).collect::<Result<_, _>>()?
-        }
-        Raw::Json(_) => return Err(format!("{raw} is not a list")),
-    };
-    let mut outputs = Vec::new();
-    for name in names {
-        let output = word::<Output>(Raw::Text(name))?;
-        if !outputs.contains(&output) {
-            outputs.push(output);
-        }
-    }
-    if outputs.is_empty() { Err(format!("is empty; name some of {}", Output::choices())) } else { Ok(outputs) }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::formats::ExistingRigPolicy;
     use crate::jobs::options::{Boxes, Fingers};
     use crate::pipelines::{SkinMethod, Symmetry};
+    use crate::rig::Influence;
     use serde_json::json;
 
     fn refused(field: &str, value: Value) -> FieldError {
@@ -280,7 +332,8 @@ mod tests {
     #[test]
     fn every_field_is_read_from_text_and_from_json() {
         let joints = json!([{ "name": "hips", "parent": null, "position": [0.5, 1.0, -0.25] }]);
-        let file = json!({ "format": rig_json::FORMAT, "joints": joints });
+        let skins = json!([{ "joints": [[0]], "weights": [[1.0]] }]);
+        let file = json!({ "format": rig_json::FORMAT, "joints": joints, "skins": skins });
         let fields = [
             ("method", "rignet", json!("rignet")),
             ("detail", "0.75", json!(0.75)),
@@ -288,8 +341,14 @@ mod tests {
             ("fingers", "on", json!("on")),
             ("skin_method", "geodesic_voxel", json!("geodesic_voxel")),
             ("boxes", "off", json!("off")),
+            ("skin_fallback", "geodesic_heat,rignet", json!(["geodesic_heat", "rignet"])),
             ("skeleton", &file.to_string(), file.clone()),
+            ("non_deforming", "IK_*, pole", json!(["IK_*", "pole"])),
+            ("locked_joints", "head", json!(["head"])),
             ("max_influences", "8", json!(8)),
+            ("smooth", "0.25", json!(0.25)),
+            ("prune", "0.02", json!(0.02)),
+            ("mirror_weights", "auto", json!("auto")),
             ("seed", "18446744073709551615", json!(u64::MAX)),
             ("up", "z", json!("+z")),
             ("front", "-y", json!("-y")),
@@ -308,8 +367,17 @@ mod tests {
             fingers: Fingers::On,
             skin_method: Some(SkinMethod::GeodesicVoxel),
             boxes: Boxes::Off,
-            skeleton: Some(Arc::new(rig_json::read(file.to_string().as_bytes()).expect("reads").skeleton)),
+            skin_fallback: vec![SkinMethod::GeodesicHeat, SkinMethod::RigNet],
+            skeleton: Some(Arc::new(GivenSkeleton {
+                skeleton: rig_json::read(file.to_string().as_bytes()).expect("reads").skeleton,
+                rows: vec![vec![Influence { joint: 0, weight: 1.0 }]],
+            })),
+            non_deforming: vec!["IK_*".to_owned(), "pole".to_owned()],
+            locked_joints: vec!["head".to_owned()],
             max_influences: 8,
+            smooth: 0.25,
+            prune: 0.02,
+            mirror_weights: Symmetry::Auto,
             seed: u64::MAX,
             up: Some(Axis::PosZ),
             front: Some(Axis::NegY),
@@ -344,6 +412,9 @@ mod tests {
             ("detail", json!("0.5"), "\"0.5\" is not a number"),
             ("bandwidth", json!(0), "0 is outside 0.005 to 0.5"),
             ("max_influences", json!(4.5), "4.5 is not a whole number from 1 to 8"),
+            ("smooth", json!(2), "2 is outside 0 to 1"),
+            ("prune", json!(0.6), "0.6 is outside 0 to 0.5"),
+            ("mirror_weights", json!("yes"), "\"yes\" is not one of auto, on, off"),
             ("seed", json!(-1), "-1 is not a whole number"),
             ("symmetry", json!("maybe"), "\"maybe\" is not one of auto, on, off"),
             (
@@ -352,6 +423,10 @@ mod tests {
                 "\"heat\" is not one of auto, rignet, heter_skin_net, geodesic_voxel, geodesic_heat",
             ),
             ("skeleton", json!({ "format": "rigsmith.rig/1", "joints": [] }), "no joints"),
+            ("skin_fallback", json!(["heat"]), "\"heat\" is not one of rignet"),
+            ("non_deforming", json!("IK_*"), "is not a list"),
+            ("non_deforming", json!([""]), "is no name"),
+            ("locked_joints", json!(vec!["a"; 101]), "101 names are more than 100"),
             ("outputs", json!([]), "is empty"),
             ("outputs", json!("glb"), "is not a list"),
             ("colour", json!("red"), "no such field"),
@@ -367,9 +442,13 @@ mod tests {
 
     #[test]
     fn contradictions_are_refused() {
-        for pair in
-            [[("detail", "0.5"), ("bandwidth", "0.05")], [("up", "y"), ("front", "-y")], [("seed", "1"), ("seed", "1")]]
-        {
+        let file = r#"{"format": "rigsmith.rig/1", "joints": [{"name": "a", "parent": null, "position": [0, 0, 0]}]}"#;
+        for pair in [
+            [("detail", "0.5"), ("bandwidth", "0.05")],
+            [("up", "y"), ("front", "-y")],
+            [("seed", "1"), ("seed", "1")],
+            [("skeleton", file), ("existing_rig", "reskin")],
+        ] {
             let mut reader = OptionsReader::default();
             for (field, value) in pair {
                 reader.text(field, value);

@@ -6,6 +6,7 @@ use super::options::{Output, RigOptions};
 use super::stage::Stage;
 use crate::cancellation::{Cancellation, Cancelled};
 use crate::formats::{Finding, Siblings};
+use crate::pipelines::skin_choice::MeasuredL1;
 use bytes::Bytes;
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -23,6 +24,16 @@ pub trait Rigger: Send + Sync {
 
     /// Every method this build knows, also those that cannot run here.
     fn methods(&self) -> Vec<MethodInfo>;
+
+    /// Why a job with `options` cannot run here; `None` when it can.
+    fn unavailable(&self, options: &RigOptions) -> Option<String> {
+        let wanted = options.method.as_ref()?;
+        let methods = self.methods();
+        match &methods.iter().find(|method| method.name == *wanted)?.availability {
+            Availability::Available => None,
+            Availability::Unavailable { reason } => Some(format!("method {wanted} cannot run here: {reason}")),
+        }
+    }
 
     /// Whether the networks are loaded and have passed their self-tests.
     fn ready(&self) -> Readiness;
@@ -85,6 +96,12 @@ impl Outcome {
         self.report.get("skeleton").and_then(|skeleton| skeleton.get("joints")?.as_u64()).unwrap_or(0)
     }
 
+    /// What weighed the vertices, and why that.
+    pub fn skin_choice(&self) -> Option<(&str, &str)> {
+        let skin = self.report.get("skin")?;
+        Some((skin.get("method")?.as_str()?, skin.get("reason")?.as_str()?))
+    }
+
     /// The report with what differs from run to run: the time that each stage took, in milliseconds.
     pub fn timed_report(&self, watch: &Watch) -> serde_json::Map<String, serde_json::Value> {
         let mut report = self.report.clone();
@@ -116,8 +133,21 @@ pub struct MethodInfo {
     /// Licence of the weights.
     pub licence: String,
     pub models: Vec<ModelInfo>,
+    /// What may weigh the vertices, the best first.
+    pub skin_methods: Vec<SkinMethodInfo>,
     /// What an upload may have at most, as in `("faces", 2_000_000)`.
     pub limits: Vec<(&'static str, u64)>,
+}
+
+/// A skin method, whether it can run here, and how good it is.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SkinMethodInfo {
+    pub name: &'static str,
+    pub availability: Availability,
+    /// `auto` means this one.
+    pub is_auto: bool,
+    /// Mean error on validation rigs.
+    pub mean_l1: MeasuredL1,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq)]

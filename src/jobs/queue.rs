@@ -5,7 +5,7 @@ use super::clock::{SteadyClock, Timestamp};
 use super::core::{Core, OwnRuntime};
 use super::failure::JobError;
 use super::options::{FieldError, FieldProblem, RigOptions};
-use super::perform::{Availability, MethodInfo, Readiness, Rigger};
+use super::perform::{MethodInfo, Readiness, Rigger};
 use super::running::Stop;
 use super::settings::Settings;
 use super::store::postgres::PostgresStore;
@@ -157,21 +157,20 @@ impl Jobs {
     }
 
     pub(super) fn method_exists(&self, options: &RigOptions) -> Result<(), Refusal> {
-        let Some(wanted) = &options.method else { return Ok(()) };
         let methods = self.methods();
-        match methods.iter().find(|method| method.name == *wanted).map(|method| &method.availability) {
-            Some(Availability::Available) => Ok(()),
-            Some(Availability::Unavailable { reason }) => {
-                Err(Refusal::ModelUnavailable { reason: format!("method {wanted} cannot run here: {reason}") })
-            }
-            None => {
-                let names: Vec<&str> = methods.iter().map(|method| method.name.as_str()).collect();
-                Err(Refusal::Option(FieldError {
-                    field: "method".to_owned(),
-                    problem: FieldProblem::Invalid,
-                    detail: format!("{wanted:?} is not one of auto, {}", names.join(", ")),
-                }))
-            }
+        if let Some(wanted) =
+            options.method.as_ref().filter(|wanted| methods.iter().all(|known| known.name != **wanted))
+        {
+            let names: Vec<&str> = methods.iter().map(|method| method.name.as_str()).collect();
+            return Err(Refusal::Option(FieldError {
+                field: "method".to_owned(),
+                problem: FieldProblem::Invalid,
+                detail: format!("{wanted:?} is not one of auto, {}", names.join(", ")),
+            }));
+        }
+        match self.core().rigger.unavailable(options) {
+            Some(reason) => Err(Refusal::ModelUnavailable { reason }),
+            None => Ok(()),
         }
     }
 

@@ -52,6 +52,7 @@ mod tests {
                 availability,
                 licence: text,
                 models,
+                skin_methods: vec![],
                 limits: vec![],
             }]
         };

@@ -4,30 +4,39 @@
 
 use super::engine::Upload;
 use super::options::RigOptions;
-use super::perform::{Availability, MethodInfo, ModelInfo};
+use super::perform::{Availability, MethodInfo, ModelInfo, SkinMethodInfo};
 use crate::formats::{Finding, Limits, Severity};
-use crate::pipelines::{self, Facts, Method, Models, Quality, Rigged, Verdict};
+use crate::pipelines::skin_choice::{SkinChoice, skin_unavailable};
+use crate::pipelines::{self, Facts, Method, Models, Quality, Rigged, SkinMethod, Verdict};
 use serde_json::{Map, Value, json};
 
 /// The facts of a finished rig.
 pub fn facts(
     method: Method,
     options: &RigOptions,
+    choice: SkinChoice,
     upload: &Upload,
     rigged: &Rigged,
     models: &Models,
 ) -> Map<String, Value> {
     let (rig, facts) = (&rigged.rig, &rigged.facts);
-    let skin_method = if facts.is_rigid { RIGID_BOXES } else { options.skin_method.unwrap_or_default().name() };
+    let (skin_method, reason) = if facts.is_rigid {
+        (RIGID_BOXES, "each box of the character moves as a whole".to_owned())
+    } else {
+        (choice.method.name(), choice.reason())
+    };
     let digests: Vec<Value> =
         models.statuses().iter().map(|model| json!({"name": model.name, "sha256": model.sha256})).collect();
     object(json!({
-        "method": method_used(method, options),
+        "method": method_used(method, options, choice),
         "service_version": env!("CARGO_PKG_VERSION"),
         "models": digests,
         "options": {
             "bandwidth": facts.bandwidth,
             "max_influences": options.max_influences,
+            "smooth": options.smooth,
+            "prune": options.prune,
+            "mirror_weights": options.mirror_weights.name(),
             "symmetry": options.symmetry.name(),
             "seed": options.seed,
         },
@@ -36,7 +45,7 @@ pub fn facts(
             "root": rig.skeleton.joints.first().map(|joint| joint.name.clone()),
             "depth": rig.skeleton.depth(),
             "symmetric": facts.symmetry_plane.is_some(),
-            "given": options.skeleton.is_some(),
+            "given": options.keeps_skeleton(),
             "boxes": facts.boxes,
             "fingers": facts.fingers,
         },
@@ -45,7 +54,9 @@ pub fn facts(
             "max_influences": rig.skin.rows.iter().map(Vec::len).max().unwrap_or(0),
             "unweighted": 0,
             "method": skin_method,
+            "reason": reason,
             "by_nearest_bone": facts.vertices_by_nearest_bone,
+            "mirrored": facts.vertices_mirrored,
         },
         "symmetry": {
             "score": rounded(facts.symmetry_score),
@@ -61,12 +72,9 @@ pub fn facts(
     }))
 }
 
-/// The name of what made the rig: the method, or for a skeleton that was given what weighed the vertices.
-pub fn method_used(method: Method, options: &RigOptions) -> &'static str {
-    match options.skeleton {
-        None => method.name(),
-        Some(_) => options.skin_method.unwrap_or_default().name(),
-    }
+/// The name of what made the rig: the method, or for a skeleton that was there what weighed the vertices.
+pub fn method_used(method: Method, options: &RigOptions, choice: SkinChoice) -> &'static str {
+    if options.keeps_skeleton() { choice.method.name() } else { method.name() }
 }
 
 /// The figures of [`Quality`]; bleeding is told of the joints that do.
@@ -94,7 +102,7 @@ const BLEED_TOLD: f64 = 0.005;
 const RIGID_BOXES: &str = "rigid_boxes";
 
 /// What is worth telling about the rig besides its facts.
-pub fn findings(rigged: &Rigged) -> Vec<Finding> {
+pub fn findings(rigged: &Rigged, choice: SkinChoice) -> Vec<Finding> {
     let Facts { vertices_by_nearest_bone, joints_inside, ref joints_far_outside, .. } = rigged.facts;
     let mut findings = Vec::new();
     if let Some(boxes) = rigged.facts.boxes {
@@ -102,14 +110,20 @@ pub fn findings(rigged: &Rigged) -> Vec<Finding> {
             code: "made_of_boxes",
             parts: Vec::new(),
             severity: Severity::Info,
-            message: format!(
-                "the character is made of {boxes} boxes: joints lie where they touch{}",
-                match rigged.facts.is_rigid {
-                    true => ", and each box moves as a whole",
-                    false => "",
-                }
-            ),
+            message: match rigged.facts.is_rigid {
+                true => format!("the character is made of {boxes} boxes: each moves as a whole"),
+                false => format!("the character is made of {boxes} boxes: its joints lie where they touch"),
+            },
             hint: "send `boxes: off` to rig it like any other".into(),
+        });
+    }
+    if choice.in_place_of.is_some() {
+        findings.push(Finding {
+            code: "skin_fallback",
+            parts: Vec::new(),
+            severity: Severity::Warning,
+            message: choice.reason(),
+            hint: "ask the operator to have the networks repaired".into(),
         });
     }
     if let Some(first) = joints_far_outside.first().and_then(|&joint| rigged.rig.skeleton.joints.get(joint)) {
@@ -135,6 +149,15 @@ pub fn findings(rigged: &Rigged) -> Vec<Finding> {
                 "{vertices_by_nearest_bone} vertices got no weights of their own and follow the nearest bone"
             ),
             hint: "check these parts in a pose".into(),
+        });
+    }
+    if rigged.facts.vertices_mirrored == Some(0) {
+        findings.push(Finding {
+            code: "weights_not_mirrored",
+            parts: Vec::new(),
+            severity: Severity::Warning,
+            message: "no weights were made alike: mesh and skeleton have no left and right that match".into(),
+            hint: "place the joints of both sides alike, or leave mirror_weights out".into(),
         });
     }
     if joints_inside < JOINTS_INSIDE_USUAL {
@@ -175,10 +198,7 @@ pub fn method_info(method: Method, models: &Models, limits: &Limits) -> MethodIn
         name: method.name().into(),
         title: title.into(),
         description: description.into(),
-        availability: match pipelines::unavailable(method, models) {
-            None => Availability::Available,
-            Some(reason) => Availability::Unavailable { reason },
-        },
+        availability: availability(pipelines::unavailable(method, models).or_else(|| default_skin_unavailable(models))),
         licence: models.licence().weights.clone(),
         // Any skin network may have a part in its rigs, so all are its networks: a kept result is of all their digests.
         models: models
@@ -190,6 +210,7 @@ pub fn method_info(method: Method, models: &Models, limits: &Limits) -> MethodIn
                 self_test: model.failure.clone().unwrap_or_else(|| "passed".into()),
             })
             .collect(),
+        skin_methods: skin_methods(models),
         limits: vec![
             ("bytes", limits.bytes_max),
             ("vertices", limits.vertices_max as u64),
@@ -198,6 +219,32 @@ pub fn method_info(method: Method, models: &Models, limits: &Limits) -> MethodIn
             ("unzip_ratio", limits.unzip_ratio_max),
         ],
     }
+}
+
+fn availability(unavailable: Option<String>) -> Availability {
+    unavailable.map_or(Availability::Available, |reason| Availability::Unavailable { reason })
+}
+
+/// Why a request that names no skin method would fail.
+fn default_skin_unavailable(models: &Models) -> Option<String> {
+    let best = SkinMethod::best();
+    let reason = skin_unavailable(best, models)?;
+    Some(format!(
+        "its skin method {} is not available ({reason}); requests that name another skin_method run",
+        best.name()
+    ))
+}
+
+fn skin_methods(models: &Models) -> Vec<SkinMethodInfo> {
+    let mut methods = SkinMethod::ALL;
+    methods.sort_by(|a, b| a.measured().all.total_cmp(&b.measured().all));
+    let info = |method: SkinMethod| SkinMethodInfo {
+        name: method.name(),
+        availability: availability(skin_unavailable(method, models)),
+        is_auto: method == SkinMethod::best(),
+        mean_l1: method.measured(),
+    };
+    methods.into_iter().map(info).collect()
 }
 
 fn orientation(upload: &Upload) -> Value {

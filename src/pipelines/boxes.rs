@@ -14,12 +14,6 @@ pub(super) struct Boxes {
     part_of_working: Vec<u32>,
 }
 
-/// Weights of the working mesh's vertices and of the upload's.
-pub(super) struct RigidWeights {
-    pub(super) working: SkinWeights,
-    pub(super) upload: SkinWeights,
-}
-
 impl Boxes {
     /// `None` where the character is not made of boxes.
     pub(super) fn of(subject: &Prepared) -> Option<Self> {
@@ -42,16 +36,19 @@ impl Boxes {
         }
     }
 
-    /// Every box with the joint that `weights` of the upload's vertices give most of it to.
-    pub(super) fn stiffened(&self, weights: &SkinWeights, joint_count: usize) -> RigidWeights {
-        self.rigid(&joints_by_weight(&self.parts.part_of_vertex, self.count(), weights, joint_count))
+    /// For every box the joint that `weights` of the upload's vertices give most of it to.
+    pub(super) fn joints_by_weight(&self, weights: &SkinWeights, joint_count: usize) -> Vec<u32> {
+        joints_by_weight(&self.parts.part_of_vertex, self.count(), weights, joint_count)
     }
 
-    pub(super) fn rigid(&self, joint_of_part: &[u32]) -> RigidWeights {
-        RigidWeights {
-            working: rigid_weights(&self.part_of_working, joint_of_part),
-            upload: rigid_weights(&self.parts.part_of_vertex, joint_of_part),
-        }
+    /// Weights of the upload's vertices, each box moving with one joint.
+    pub(super) fn weights(&self, joint_of_box: &[u32]) -> SkinWeights {
+        rigid_weights(&self.parts.part_of_vertex, joint_of_box)
+    }
+
+    /// The same of the working mesh's vertices.
+    pub(super) fn working_weights(&self, joint_of_box: &[u32]) -> SkinWeights {
+        rigid_weights(&self.part_of_working, joint_of_box)
     }
 }
 

@@ -24,9 +24,15 @@ pub struct WeighedBones {
 }
 
 impl WeighedBones {
-    pub fn new(shape: &Shape, skeleton: &Skeleton, cancellation: &Cancellation) -> Result<Self, Cancelled> {
-        let drawn_out = |bone: Bone| Bone { end: shape.reach_of(&bone, skeleton), ..bone };
-        let bones: Vec<Bone> = skeleton.bones().into_iter().map(drawn_out).collect();
+    /// `bones` are those of `skeleton`, or some of them.
+    pub fn new(
+        shape: &Shape,
+        skeleton: &Skeleton,
+        bones: &[Bone],
+        cancellation: &Cancellation,
+    ) -> Result<Self, Cancelled> {
+        let drawn_out = |bone: &Bone| Bone { end: shape.reach_of(bone, skeleton), ..*bone };
+        let bones: Vec<Bone> = bones.iter().map(drawn_out).collect();
         let segments: Vec<_> = bones.iter().map(|bone| (bone.start, bone.end)).collect();
         let binding = VoxelBinding::new(&shape.mesh, &shape.solid, &segments);
         cancellation.check()?;

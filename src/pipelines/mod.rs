@@ -6,7 +6,9 @@ mod prepared;
 pub mod rignet;
 pub mod shape;
 mod skin;
+pub mod skin_choice;
 pub mod survey;
+mod transfer;
 
 pub use crate::geometry::{orientation, stance};
 
@@ -16,6 +18,8 @@ pub use crate::nets::{LoadOptions, Models, NetError};
 use crate::rig::detect_joints::DetectJointsError;
 pub use crate::rig::detect_joints::Fineness as LevelOfDetail;
 pub use crate::rig::hands::Fingers;
+use crate::rig::locked_weights::Locks;
+use crate::rig::skin_weights::Trim;
 pub use crate::rig::verdict::{Quality, Verdict};
 pub use crate::rig::{Rig, Skeleton};
 use glam::{DMat3, DVec3};
@@ -50,13 +54,12 @@ impl Method {
 
 /// A way to weigh vertices over the bones of a skeleton.
 ///
-/// The default is the one with the least L1 on validation rigs with their own skeletons; `docs/models.md` has the table.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+/// The default is the best by measurement, see [`skin_choice`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SkinMethod {
     /// RigNet's skin network over volumetric geodesic distances [Xu et al. 2020, Section 4.3].
     RigNet,
     /// A network over the graph of mesh, skeleton and the links between them [Pan et al. 2021].
-    #[default]
     HeterSkinNet,
     /// Falloff of the way through voxels of the solid [Dionne and de Lasa 2013]; asks no network.
     GeodesicVoxel,
@@ -131,6 +134,12 @@ pub struct RigOptions {
     pub rigid_boxes: bool,
     /// Most joints that may move one vertex, 1 to 8.
     pub max_influences: usize,
+    /// How far weights run into each other along the surface, 0 (as the method gives them) to 1.
+    pub smooth: f64,
+    /// Weights below this share of a vertex's are dropped, 0 to 0.5.
+    pub prune: f64,
+    /// Whether the weights of left and right are made alike.
+    pub mirror_weights: Symmetry,
     /// Fixes every choice that is not decided by the mesh.
     pub seed: u64,
 }
@@ -145,9 +154,19 @@ impl Default for RigOptions {
             skin_method: SkinMethod::default(),
             boxes: true,
             rigid_boxes: true,
-            max_influences: 4,
+            max_influences: Trim::USUAL.max_influences,
+            smooth: 0.0,
+            prune: Trim::WEIGHT_MIN,
+            mirror_weights: Symmetry::Off,
             seed: 0,
         }
+    }
+}
+
+impl RigOptions {
+    /// What is cut off each vertex's weights.
+    fn trim(&self) -> Trim {
+        Trim { max_influences: self.max_influences, weight_min: self.prune }
     }
 }
 
@@ -159,6 +178,23 @@ pub struct Subject<'a> {
     /// Turns upload space so that y is up and the character faces +z. A rotation, or a reflection for left-handed
     /// uploads.
     pub to_upright: DMat3,
+}
+
+/// A skeleton that is there, and what of it takes part.
+#[derive(Clone, Copy, Debug)]
+pub struct Given<'a> {
+    /// In upload space.
+    pub skeleton: &'a Skeleton,
+    /// `[J]`: joints that may move vertices; `None`: all.
+    pub deforms: Option<&'a [bool]>,
+    /// Joints that keep the weights they had.
+    pub locks: Option<Locks<'a>>,
+}
+
+impl<'a> From<&'a Skeleton> for Given<'a> {
+    fn from(skeleton: &'a Skeleton) -> Self {
+        Self { skeleton, deforms: None, locks: None }
+    }
 }
 
 /// How the work is watched and stopped from outside.
@@ -208,6 +244,8 @@ pub struct Facts {
     pub joints_far_outside: Vec<usize>,
     /// Vertices that no bone's weights reached; they follow the nearest bone.
     pub vertices_by_nearest_bone: usize,
+    /// Vertices that have the mean of both sides' weights; `None` unless sides were to be made alike.
+    pub vertices_mirrored: Option<usize>,
     /// How good the rig of the working mesh is, by what can be measured without knowing the right answer.
     pub quality: Quality,
 }
@@ -219,6 +257,8 @@ pub enum RigError {
     NoExtent,
     #[error("no joints were found: {tried}")]
     NoJointsFound { tried: String },
+    #[error("vertex {vertex} has the locked joints {joints}, but max_influences is {limit}")]
+    NoRoomForLocked { vertex: usize, joints: String, limit: usize },
     #[error("method {method} is not available: {reason}")]
     MethodUnavailable { method: &'static str, reason: String },
     #[error(transparent)]
@@ -251,6 +291,7 @@ impl RigError {
         match self {
             Self::NoExtent => "no_geometry",
             Self::NoJointsFound { .. } => "no_joints_found",
+            Self::NoRoomForLocked { .. } => "not_riggable",
             Self::MethodUnavailable { .. } => "model_unavailable",
             Self::Net(NetError::NotFinite { .. }) => "numerical_failure",
             Self::Net(_) => "internal",
@@ -263,6 +304,9 @@ impl RigError {
         match self {
             Self::NoExtent => "export the mesh again and check its scale",
             Self::NoJointsFound { .. } => "try a higher `detail`, or check that the mesh is one character, upright",
+            Self::NoRoomForLocked { .. } => {
+                "raise max_influences, so that one joint more than the locked ones fits, or lock fewer"
+            }
             Self::MethodUnavailable { .. } => "see GET /v1/methods or `rigsmith methods` for what runs here",
             Self::Net(error) => error.hint(),
             Self::Cancelled(_) => "",
@@ -280,19 +324,18 @@ pub fn rig(subject: Subject, models: &Models, options: &RigOptions, watch: Watch
     }
 }
 
-/// Weighs the vertices of `subject` over `skeleton` (upload space), by the skin method that `options` name. The skeleton
-/// stays as it is.
-pub fn skin(
+/// Weighs the vertices of `subject` over the `given` joints, by the skin method that `options` name. The skeleton stays as it is.
+pub fn skin<'a>(
     subject: Subject,
-    skeleton: &Skeleton,
+    given: impl Into<Given<'a>>,
     models: &Models,
     options: &RigOptions,
     watch: Watch,
 ) -> Result<Rigged, RigError> {
-    skin::skin(subject, skeleton, SkinNets::of(options.skin_method, models)?, options, watch)
+    skin::skin(subject, given.into(), SkinNets::of(options.skin_method, models)?, options, watch)
 }
 
-/// Why `method` cannot run here; `None` when it can.
+/// Why `method` cannot make skeletons here; `None` when it can.
 pub fn unavailable(method: Method, models: &Models) -> Option<String> {
     match method {
         Method::RigNet => models.rignet().err().map(str::to_owned),

@@ -2,13 +2,14 @@
 //! working mesh is made of it, and the weights go back to the upload's own vertices.
 
 use super::boxes::Boxes;
-use super::prepared::{Prepared, SYMMETRIC_FROM};
+use super::prepared::Prepared;
 use super::shape::{Shape, points_f32};
 use super::skin::{SkinNets, judged, weigh};
+use super::transfer::transferred;
 use super::{Facts, RigError, RigOptions, Rigged, Stage, Subject, Symmetry, Watch};
 use crate::geometry::symmetry_plane::SymmetryPlane;
-use crate::geometry::transfer::transfer_map;
 use crate::nets::rignet::{JointPairs, RigNets, ShapeGraph};
+use crate::rig::deforming::Deforming;
 use crate::rig::detect_joints::{DetectedJoints, Evidence, detect_joints};
 use crate::rig::hands::with_fingers;
 use crate::rig::spanning_tree::{BoneCosts, OutsideRule, Tree, minimum_spanning_tree, symmetric_spanning_tree};
@@ -32,7 +33,7 @@ pub(super) fn rig(
 
     watch.enter(Stage::Geometry)?;
     let shape = Shape::new(subject.working.mesh.clone());
-    let plane = mirror_plane(&shape.symmetry, options.symmetry);
+    let plane = shape.mirror_plane(options.symmetry);
     let boxes = options.boxes.then(|| Boxes::of(&subject)).flatten();
     let of_boxes = boxes.as_ref().and_then(|boxes| Some((boxes, boxes.skeleton(options.level_of_detail)?)));
 
@@ -50,19 +51,16 @@ pub(super) fn rig(
     };
 
     watch.enter(Stage::Skin)?;
-    let rigid = of_boxes.as_ref().filter(|_| options.rigid_boxes).map(|(boxes, made)| boxes.rigid(&made.joint_of_part));
-    let (working_skin, vertices_by_nearest_bone) = match &rigid {
-        Some(rigid) => (rigid.working.clone(), 0),
-        None => weigh(&shape, graph.as_ref(), &skeleton, skin_nets, options, watch)?,
+    let rigid = of_boxes.as_ref().filter(|_| options.rigid_boxes);
+    let (skin, vertices_by_nearest_bone) = match rigid {
+        Some((boxes, made)) => (boxes.working_weights(&made.joint_of_part), 0),
+        None => weigh(&shape, graph.as_ref(), &Deforming::all(&skeleton), skin_nets, options, watch)?,
     };
-    let quality = judged(&shape, &skeleton, &working_skin, plane.as_ref());
+    let quality = judged(&shape, &skeleton, &skin, plane.as_ref());
 
     watch.enter(Stage::Transfer)?;
+    let transferred = transferred(&subject, &shape, &skeleton, &skin, rigid.map(|(boxes, _)| *boxes), None, options)?;
     let is_rigid = rigid.is_some();
-    let skin = match rigid {
-        Some(rigid) => rigid.upload,
-        None => working_skin.transferred(&transfer_map(&subject.original, &subject.working), options.max_influences),
-    };
     let to_upload = |point: DVec3| subject.normalization.invert(point);
     let facts = Facts {
         working_vertices: shape.mesh.positions.len(),
@@ -76,19 +74,10 @@ pub(super) fn rig(
         joints_inside: quality.joints_inside,
         joints_far_outside: Vec::new(),
         vertices_by_nearest_bone,
+        vertices_mirrored: transferred.mirrored,
         quality,
     };
-    Ok(Rigged { rig: Rig { skeleton: skeleton.mapped(to_upload), skin }, facts })
-}
-
-/// The plane to make left and right alike about, if any.
-fn mirror_plane(best: &SymmetryPlane, symmetry: Symmetry) -> Option<SymmetryPlane> {
-    let wanted = match symmetry {
-        Symmetry::Auto => best.score >= SYMMETRIC_FROM,
-        Symmetry::On => true,
-        Symmetry::Off => false,
-    };
-    wanted.then_some(*best)
+    Ok(Rigged { rig: Rig { skeleton: skeleton.mapped(to_upload), skin: transferred.skin }, facts })
 }
 
 /// Displacement and attention networks, then clustering (Section 4.1).

@@ -1,5 +1,7 @@
 //! The facts of a working mesh that all of RigNet's stages share, computed once.
 
+use super::Symmetry;
+use super::prepared::SYMMETRIC_FROM;
 use crate::geometry::bone_pairs::BonePair;
 use crate::geometry::bvh::Bvh;
 use crate::geometry::medial_offset::medial_offsets;
@@ -65,6 +67,16 @@ impl Shape {
             (0..joints.len()).flat_map(|i| (i + 1..joints.len()).map(move |j| [i, j])).collect();
         let segments = pairs.iter().map(|&[i, j]| BonePair::new(joints[i], joints[j], &self.solid)).collect();
         (pairs, segments)
+    }
+
+    /// The plane to make left and right alike about, if any.
+    pub(super) fn mirror_plane(&self, symmetry: Symmetry) -> Option<SymmetryPlane> {
+        let wanted = match symmetry {
+            Symmetry::Auto => self.symmetry.score >= SYMMETRIC_FROM,
+            Symmetry::On => true,
+            Symmetry::Off => false,
+        };
+        wanted.then_some(self.symmetry)
     }
 
     /// Where a bone ends. A leaf bone goes on along the bone before it until it leaves the solid: what lies beyond a hand's or a

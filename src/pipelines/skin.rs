@@ -13,15 +13,16 @@ use super::boxes::Boxes;
 use super::heter_skin::WeighedBones;
 use super::prepared::{Prepared, SYMMETRIC_FROM};
 use super::shape::Shape;
-use super::{Facts, RigError, RigOptions, Rigged, SkinMethod, Stage, Subject, Symmetry, Watch};
+use super::transfer::transferred;
+use super::{Facts, Given, RigError, RigOptions, Rigged, SkinMethod, Stage, Subject, Symmetry, Watch};
 use crate::geometry::symmetry_plane::SymmetryPlane;
-use crate::geometry::transfer::transfer_map;
 use crate::geometry::volumetric_geodesic::Segment;
 use crate::nets::Models;
 use crate::nets::heter_skin_net::HeterSkinNet;
 use crate::nets::rignet::{RigNets, ShapeGraph};
 use crate::rig::bone_features::{BONE_CHANNELS, NEAREST_BONES, bone_features};
 use crate::rig::bone_weights::{BoneWeights, PRUNE_SHARE, SMOOTHINGS, TRACE_SHARE};
+use crate::rig::deforming::Deforming;
 use crate::rig::distance_falloff::{FALLOFF, VOXEL_SMOOTHINGS, VOXEL_TRACE_SHARE, falloff_weights};
 use crate::rig::heat_weights::HEAT_TRACE_SHARE;
 use crate::rig::heter_graph::LINK_PRUNE_SHARE;
@@ -32,10 +33,10 @@ use glam::DVec3;
 use ndarray::ArrayView2;
 use std::borrow::Cow;
 
-/// Weighs the vertices of `subject` over `skeleton` by `nets`.
+/// Weighs the vertices of `subject` over the `given` joints by `nets`.
 pub(super) fn skin(
     subject: Subject,
-    skeleton: &Skeleton,
+    given: Given,
     nets: SkinNets,
     options: &RigOptions,
     watch: Watch,
@@ -45,24 +46,26 @@ pub(super) fn skin(
     if options.symmetry != Symmetry::Off {
         subject.face_the_front();
     }
-    let normalised = skeleton.mapped(|point| subject.normalization.apply(point));
+    let normalised = given.skeleton.mapped(|point| subject.normalization.apply(point));
+    let joints = match given.deforms {
+        Some(deforms) => Deforming::new(&normalised, deforms),
+        None => Deforming::all(&normalised),
+    };
 
     watch.enter(Stage::Geometry)?;
     let shape = Shape::new(subject.working.mesh.clone());
 
     watch.enter(Stage::Skin)?;
-    let (mut working_skin, vertices_by_nearest_bone) = weigh(&shape, None, &normalised, nets, options, watch)?;
+    let (skin, vertices_by_nearest_bone) = weigh(&shape, None, &joints, nets, options, watch)?;
+    let skin = joints.in_whole(skin);
 
     watch.enter(Stage::Transfer)?;
-    let transfer = transfer_map(&subject.original, &subject.working);
-    let mut skin = working_skin.transferred(&transfer, options.max_influences);
     let boxes = options.rigid_boxes.then(|| Boxes::of(&subject)).flatten();
-    if let Some(boxes) = &boxes {
-        let rigid = boxes.stiffened(&skin, skeleton.joints.len());
-        (working_skin, skin) = (rigid.working, rigid.upload);
-    }
+    let transferred = transferred(&subject, &shape, &normalised, &skin, boxes.as_ref(), given.locks.as_ref(), options)?;
+    let rigid = boxes.as_ref().zip(transferred.joint_of_box.as_deref());
+    let skin = rigid.map_or(skin, |(boxes, joint_of_box)| boxes.working_weights(joint_of_box));
     let plane = (shape.symmetry.score >= SYMMETRIC_FROM).then_some(&shape.symmetry);
-    let quality = judged(&shape, &normalised, &working_skin, plane);
+    let quality = judged(&shape, &normalised, &skin, plane);
     let facts = Facts {
         working_vertices: shape.mesh.positions.len(),
         working_triangles: shape.mesh.triangles.len(),
@@ -75,9 +78,10 @@ pub(super) fn skin(
         joints_inside: quality.joints_inside,
         joints_far_outside: far_outside(&shape, &normalised),
         vertices_by_nearest_bone,
+        vertices_mirrored: transferred.mirrored,
         quality,
     };
-    Ok(Rigged { rig: Rig { skeleton: skeleton.clone(), skin }, facts })
+    Ok(Rigged { rig: Rig { skeleton: given.skeleton.clone(), skin: transferred.skin }, facts })
 }
 
 /// What can be said of the rig of the working mesh.
@@ -121,25 +125,26 @@ impl<'a> SkinNets<'a> {
     }
 }
 
-/// Weights of the working mesh's vertices over the joints of `skeleton` (normalised frame). Second: vertices that no weight
+/// Weights of the working mesh's vertices over `joints` (normalised frame). Second: vertices that no weight
 /// reached, which follow their nearest bone. `graph` is that of `shape`, if it is at hand.
 pub(super) fn weigh(
     shape: &Shape,
     graph: Option<&ShapeGraph>,
-    skeleton: &Skeleton,
+    joints: &Deforming,
     nets: SkinNets,
     options: &RigOptions,
     watch: Watch,
 ) -> Result<(SkinWeights, usize), RigError> {
     let made = || graph.map_or_else(|| Cow::Owned(shape.graph(options.seed)), Cow::Borrowed);
-    let bones = skeleton.bones();
+    let bones = joints.bones();
     let (weights, nearest) = match nets {
         SkinNets::RigNet(nets) => by_rignet(shape, &made(), nets, &bones, watch)?,
-        SkinNets::HeterSkinNet(net) => by_heter_skin_net(shape, &made(), net, skeleton, watch)?,
-        SkinNets::Falloff => by_falloff(shape, skeleton, watch)?,
-        SkinNets::Heat => by_heat(shape, skeleton, watch)?,
+        SkinNets::HeterSkinNet(net) => by_heter_skin_net(shape, &made(), net, joints, watch)?,
+        SkinNets::Falloff => by_falloff(shape, joints, watch)?,
+        SkinNets::Heat => by_heat(shape, joints, watch)?,
     };
-    Ok(SkinWeights::from_bones(&weights, &bones, &nearest, options.max_influences))
+    let weights = spread(weights, shape, options.smooth);
+    Ok(SkinWeights::from_bones(&weights, &bones, &nearest, options.trim()))
 }
 
 /// Volumetric distances and the skin network (RigNet, Section 4.3), cleaned. Second: the nearest bones `[V, K]`.
@@ -172,11 +177,11 @@ fn by_heter_skin_net(
     shape: &Shape,
     graph: &ShapeGraph,
     net: &HeterSkinNet,
-    skeleton: &Skeleton,
+    joints: &Deforming,
     watch: Watch,
 ) -> Result<(BoneWeights, Vec<u32>), RigError> {
-    let weighed = WeighedBones::new(shape, skeleton, watch.cancellation)?;
-    let links = weighed.heter_graph(shape, skeleton);
+    let weighed = weighed_bones(shape, joints, watch)?;
+    let links = weighed.heter_graph(shape, &joints.skeleton);
     watch.cancellation.check()?;
     let logits = net.link_logits(graph, &links, watch.cancellation)?;
     let weights = links.weights(logits.iter().copied(), &weighed.bones).pruned(LINK_PRUNE_SHARE);
@@ -184,16 +189,20 @@ fn by_heter_skin_net(
 }
 
 /// Falloff of distances through voxels. Second: the nearest bones `[V, K]`.
-fn by_falloff(shape: &Shape, skeleton: &Skeleton, watch: Watch) -> Result<(BoneWeights, Vec<u32>), RigError> {
-    let weighed = WeighedBones::new(shape, skeleton, watch.cancellation)?;
+fn by_falloff(shape: &Shape, joints: &Deforming, watch: Watch) -> Result<(BoneWeights, Vec<u32>), RigError> {
+    let weighed = weighed_bones(shape, joints, watch)?;
     let weights = falloff_weights(&weighed.voxel_distance, &weighed.bones, &FALLOFF);
     Ok((smoothed(weights, shape, VOXEL_SMOOTHINGS).pruned(VOXEL_TRACE_SHARE), weighed.nearest_bones()))
 }
 
 /// Heat over distances through voxels. Second: the nearest bones `[V, K]`.
-fn by_heat(shape: &Shape, skeleton: &Skeleton, watch: Watch) -> Result<(BoneWeights, Vec<u32>), RigError> {
-    let weighed = WeighedBones::new(shape, skeleton, watch.cancellation)?;
+fn by_heat(shape: &Shape, joints: &Deforming, watch: Watch) -> Result<(BoneWeights, Vec<u32>), RigError> {
+    let weighed = weighed_bones(shape, joints, watch)?;
     Ok((weighed.heat(shape).pruned(HEAT_TRACE_SHARE), weighed.nearest_bones()))
+}
+
+fn weighed_bones(shape: &Shape, joints: &Deforming, watch: Watch) -> Result<WeighedBones, RigError> {
+    Ok(WeighedBones::new(shape, &joints.skeleton, &joints.bones(), watch.cancellation)?)
 }
 
 fn smoothed(mut weights: BoneWeights, shape: &Shape, times: usize) -> BoneWeights {
@@ -201,6 +210,22 @@ fn smoothed(mut weights: BoneWeights, shape: &Shape, times: usize) -> BoneWeight
         weights = weights.smoothed(&shape.one_ring);
     }
     weights
+}
+
+/// How often a smoothing that was asked for goes round: at full strength a hard edge becomes a slope of about five edges of the
+/// working mesh, a tenth of a character's height.
+const SPREAD_ROUNDS: usize = 10;
+
+/// Weights that run into each other along the edges of the mesh, and so across no gap. `strength` 0 to 1 is how much of a
+/// neighbour's mean is taken in each round.
+fn spread(mut weights: BoneWeights, shape: &Shape, strength: f64) -> BoneWeights {
+    if strength <= 0.0 {
+        return weights;
+    }
+    for _ in 0..SPREAD_ROUNDS {
+        weights = weights.blended(&shape.one_ring, (1.0 - strength / 2.0) as f32);
+    }
+    weights.pruned(TRACE_SHARE)
 }
 
 /// A flat buffer as `[rows, columns]`.

@@ -69,7 +69,7 @@ impl BoneWeights {
     }
 
     /// `own_share` of a vertex's row and the rest of its neighbours' mean. A vertex without neighbours keeps its row.
-    fn blended(&self, one_ring: &Neighbors, own_share: f32) -> Self {
+    pub fn blended(&self, one_ring: &Neighbors, own_share: f32) -> Self {
         let mut values = self.values.clone();
         values.par_chunks_exact_mut(self.bone_count.max(1)).enumerate().for_each(|(vertex, row)| {
             let neighbors = one_ring.row(vertex);

@@ -3,11 +3,11 @@
 //! | step                                  | file                                                              |
 //! |---------------------------------------|-------------------------------------------------------------------|
 //! | displaced points → joints             | [`detect_joints`], made of [`joint_clustering`], [`non_maximum_suppression`], [`symmetrize`] |
-//! | joints → tree → skeleton, bones       | [`spanning_tree`], [`skeleton`]                                   |
-//! | skeleton without stray joints in hands | [`hands`]                                                          |
+//! | joints → tree → skeleton, bones       | [`spanning_tree`], [`skeleton`], [`deforming`]                    |
+//! | skeleton without stray joints in hands | [`hands`]                                                        |
 //! | boxes → skeleton, weights             | [`box_skeleton`], for characters made of them                     |
 //! | bone distances → what the networks read | [`bone_features`], [`heter_graph`]                             |
-//! | logits or distances → weights         | [`bone_weights`], [`distance_falloff`], [`heat_weights`], [`skin_weights`] |
+//! | logits or distances → weights         | [`bone_weights`], [`distance_falloff`], [`heat_weights`], [`skin_weights`], [`mirror_weights`], [`locked_weights`] |
 //! | rig → posed mesh, figures             | [`bind_pose`], [`forward_kinematics`], [`linear_blend_skinning`], [`quality`], [`verdict`] |
 
 pub mod bind_pose;
@@ -16,6 +16,7 @@ pub mod bone_features;
 pub mod bone_weights;
 pub mod box_skeleton;
 mod cell_grid;
+pub mod deforming;
 pub mod detect_joints;
 pub mod distance_falloff;
 pub mod forward_kinematics;
@@ -25,6 +26,8 @@ pub mod heter_graph;
 pub mod joint_clustering;
 mod joint_levels;
 pub mod linear_blend_skinning;
+pub mod locked_weights;
+pub mod mirror_weights;
 mod modes;
 pub mod non_maximum_suppression;
 pub mod quality;

@@ -15,21 +15,36 @@ use super::{Influence, SkinWeights};
 use crate::geometry::transfer::Blend;
 use rayon::prelude::*;
 
-/// Smaller weights are dropped: no eye sees a thousandth of a motion, and tools show them as dirt.
-pub const WEIGHT_MIN: f64 = 1e-3;
+/// What is cut off a row of influences.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Trim {
+    /// Joints per vertex at most; the heaviest always stays.
+    pub max_influences: usize,
+    /// Weights below this share of the row are dropped.
+    pub weight_min: f64,
+}
+
+impl Trim {
+    /// Smaller weights are dropped unless another limit is asked for: no eye sees a thousandth of a motion, and tools show
+    /// them as dirt.
+    pub const WEIGHT_MIN: f64 = 1e-3;
+
+    /// Four joints per vertex, which every engine takes.
+    pub const USUAL: Self = Self { max_influences: 4, weight_min: Self::WEIGHT_MIN };
+}
 
 impl SkinWeights {
     /// Hands each bone's weight to its start joint. Also returns how many vertices had no weight and follow the nearest
     /// bone instead.
     ///
     /// `nearest` `[V, K]` is [`super::bone_features::BoneFeatures::nearest`].
-    pub fn from_bones(weights: &BoneWeights, bones: &[Bone], nearest: &[u32], max_influences: usize) -> (Self, usize) {
+    pub fn from_bones(weights: &BoneWeights, bones: &[Bone], nearest: &[u32], trim: Trim) -> (Self, usize) {
         let rows: Vec<(Vec<Influence>, bool)> = (0..weights.vertex_count())
             .into_par_iter()
             .map(|vertex| {
                 let over_bones = weights.row(vertex).iter().zip(bones).filter(|(weight, _)| **weight > 0.0);
                 let shares = over_bones.map(|(&weight, bone)| (bone.start_joint as u32, f64::from(weight))).collect();
-                match influences(shares, max_influences) {
+                match influences(shares, trim) {
                     Some(row) => (row, false),
                     None => {
                         let bone = nearest.get(vertex * NEAREST_BONES).and_then(|&bone| bones.get(bone as usize));
@@ -43,13 +58,13 @@ impl SkinWeights {
     }
 
     /// Weights for vertices that lie on this mesh's surface: each row blends three rows of this skin. `[V original]`
-    pub fn transferred(&self, blends: &[Blend], max_influences: usize) -> Self {
+    pub fn transferred(&self, blends: &[Blend], trim: Trim) -> Self {
         let rows = blends.par_iter().map(|blend| {
             let parts = blend.iter().filter_map(|&(vertex, share)| Some((self.rows.get(vertex as usize)?, share)));
             let shares = parts.filter(|(_, share)| *share > 0.0).flat_map(|(row, share)| {
                 row.iter().map(move |influence| (influence.joint, share * f64::from(influence.weight)))
             });
-            influences(shares.collect(), max_influences)
+            influences(shares.collect(), trim)
                 .or_else(|| self.rows.get(blend[0].0 as usize).cloned())
                 .unwrap_or_else(|| whole(0))
         });
@@ -66,9 +81,17 @@ fn whole(joint: u32) -> Vec<Influence> {
     vec![Influence { joint, weight: 1.0 }]
 }
 
-/// A finished row from shares of joints, which may repeat: the heaviest `max_influences` (at least one), scaled to sum 1.
-/// `None` without any weight.
-fn influences(mut shares: Vec<(u32, f64)>, max_influences: usize) -> Option<Vec<Influence>> {
+/// A finished row from shares of joints, which may repeat: the heaviest that `trim` leaves, scaled to sum 1. `None` without
+/// any weight.
+fn influences(shares: Vec<(u32, f64)>, trim: Trim) -> Option<Vec<Influence>> {
+    let mut shares = heaviest_first(shares);
+    let count = kept_count(&shares, trim)?;
+    shares.truncate(count);
+    Some(scaled(&shares))
+}
+
+/// Shares with each joint once, descending; ties by ascending joint.
+pub(super) fn heaviest_first(mut shares: Vec<(u32, f64)>) -> Vec<(u32, f64)> {
     shares.sort_unstable_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
     shares.dedup_by(|next, kept| {
         let same = next.0 == kept.0;
@@ -78,12 +101,19 @@ fn influences(mut shares: Vec<(u32, f64)>, max_influences: usize) -> Option<Vec<
         same
     });
     shares.sort_by(|a, b| b.1.total_cmp(&a.1));
+    shares
+}
+
+/// How many of the descending `shares` stay, at least one; `None` without any weight.
+pub(super) fn kept_count(shares: &[(u32, f64)], trim: Trim) -> Option<usize> {
     let whole: f64 = shares.iter().map(|share| share.1).sum();
-    if !(whole.is_finite() && whole > 0.0) {
-        return None;
-    }
-    let count = shares.iter().take_while(|share| share.1 >= WEIGHT_MIN * whole).count().min(max_influences).max(1);
-    shares.truncate(count);
+    let is_weight = whole.is_finite() && whole > 0.0;
+    let kept = || shares.iter().take_while(|share| share.1 > 0.0 && share.1 >= trim.weight_min * whole).count();
+    is_weight.then(|| kept().min(trim.max_influences).max(1))
+}
+
+/// A row of sum 1 from descending shares above zero.
+pub(super) fn scaled(shares: &[(u32, f64)]) -> Vec<Influence> {
     let kept: f64 = shares.iter().map(|share| share.1).sum();
     let mut row: Vec<Influence> =
         shares.iter().map(|&(joint, share)| Influence { joint, weight: (share / kept) as f32 }).collect();
@@ -91,7 +121,7 @@ fn influences(mut shares: Vec<(u32, f64)>, max_influences: usize) -> Option<Vec<
     let others: f64 = row[1..].iter().map(|influence| f64::from(influence.weight)).sum();
     row[0].weight = (1.0 - others) as f32;
     row.sort_by(|a, b| b.weight.total_cmp(&a.weight).then(a.joint.cmp(&b.joint)));
-    Some(row)
+    row
 }
 
 #[cfg(test)]
@@ -119,7 +149,7 @@ mod tests {
     fn bones_that_leave_one_joint_are_added_up() {
         let weights = BoneWeights { bone_count: 3, values: vec![0.3, 0.3, 0.4] };
         let bones = [bone(0, 1), bone(0, 2), bone(2, 2)];
-        let (skin, filled) = SkinWeights::from_bones(&weights, &bones, &[0; 5], 4);
+        let (skin, filled) = SkinWeights::from_bones(&weights, &bones, &[0; 5], Trim::USUAL);
         assert_eq!(filled, 0);
         assert_eq!(skin.rows[0].iter().map(|influence| influence.joint).collect::<Vec<_>>(), [0, 2]);
         assert!((skin.rows[0][0].weight - 0.6).abs() < 1e-6);
@@ -129,14 +159,14 @@ mod tests {
     fn a_vertex_without_weights_follows_the_nearest_bone_and_is_counted() {
         let weights = BoneWeights { bone_count: 2, values: vec![0.0, 0.0, 1.0, 0.0] };
         let bones = [bone(0, 1), bone(1, 1)];
-        let (skin, filled) = SkinWeights::from_bones(&weights, &bones, &[1, 0, 1, 1, 1, 0, 1, 0, 0, 0], 4);
+        let (skin, filled) = SkinWeights::from_bones(&weights, &bones, &[1, 0, 1, 1, 1, 0, 1, 0, 0, 0], Trim::USUAL);
         assert_eq!((skin.rows[0].as_slice(), filled), (whole(1).as_slice(), 1));
     }
 
     #[test]
     fn a_vertex_at_a_corner_takes_that_corners_row() {
         let skin = SkinWeights { rows: vec![whole(3), whole(5), whole(7)] };
-        let there = skin.transferred(&[[(1, 1.0), (0, 0.0), (2, 0.0)], [(0, 0.25), (1, 0.75), (2, 0.0)]], 4);
+        let there = skin.transferred(&[[(1, 1.0), (0, 0.0), (2, 0.0)], [(0, 0.25), (1, 0.75), (2, 0.0)]], Trim::USUAL);
         assert_eq!(there.rows[0], whole(5));
         assert_eq!(there.rows[1].iter().map(|i| (i.joint, i.weight)).collect::<Vec<_>>(), [(5, 0.75), (3, 0.25)]);
     }
@@ -144,15 +174,16 @@ mod tests {
     #[test]
     fn a_blend_of_nothing_takes_its_first_vertex() {
         let skin = SkinWeights { rows: vec![whole(3)] };
-        assert_eq!(skin.transferred(&[[(0, 0.0), (0, 0.0), (0, 0.0)]], 4).rows[0], whole(3));
+        assert_eq!(skin.transferred(&[[(0, 0.0), (0, 0.0), (0, 0.0)]], Trim::USUAL).rows[0], whole(3));
     }
 
     proptest! {
         #[test]
         fn every_row_is_what_engines_expect(
             shares in prop::collection::vec((0..9u32, 0.0..1.0f64), 1..30), max_influences in 0..9usize,
+            weight_min in 0.0..0.6f64,
         ) {
-            if let Some(row) = influences(shares, max_influences) {
+            if let Some(row) = influences(shares, Trim { max_influences, weight_min }) {
                 prop_assert!(keeps_promises(&row, max_influences), "{row:?}");
             }
         }
@@ -161,9 +192,9 @@ mod tests {
         fn transferred_rows_are_what_engines_expect(
             shares in prop::collection::vec(prop::collection::vec((0..9u32, 0.01..1.0f64), 1..9), 3), u in 0.0..1.0f64, v in 0.0..1.0f64,
         ) {
-            let skin = SkinWeights { rows: shares.into_iter().filter_map(|row| influences(row, 8)).collect() };
+            let skin = SkinWeights { rows: shares.into_iter().filter_map(|row| influences(row, Trim { max_influences: 8, ..Trim::USUAL })).collect() };
             let blend = [(0, u * (1.0 - v)), (1, u * v), (2, 1.0 - u)];
-            prop_assert!(keeps_promises(&skin.transferred(&[blend], 4).rows[0], 4));
+            prop_assert!(keeps_promises(&skin.transferred(&[blend], Trim::USUAL).rows[0], 4));
         }
     }
 }

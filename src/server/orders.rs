@@ -6,7 +6,7 @@ use super::http::error::{ApiError, Code};
 use super::http::receive::Order;
 use super::http::webhooks;
 use super::http::wishes::{Wishes, WishesReader};
-use crate::jobs::{Job, JobState, RigOptions, Source, Submission, Submitted, canonical_skeleton};
+use crate::jobs::{ExistingRigPolicy, Job, JobState, RigOptions, Source, Submission, Submitted, canonical_skeleton};
 use std::time::SystemTime;
 
 const CLIENT_ID_MAX: usize = 64;
@@ -98,7 +98,11 @@ impl Reskin {
                 asked.json(name, value);
             }
         }
-        let wishes = asked.finish(app.jobs.settings())?;
+        let mut wishes = asked.finish(app.jobs.settings())?;
+        if wishes.options.existing_rig == ExistingRigPolicy::Reskin {
+            // The edited skeleton takes the place of the one that the file had.
+            wishes.options.existing_rig = ExistingRigPolicy::Replace;
+        }
         app.jobs.ready()?;
         if of.state == JobState::Expired {
             return Err(
@@ -116,7 +120,7 @@ impl Reskin {
         skeleton: &[u8],
         terms: Terms,
     ) -> Result<Submitted, ApiError> {
-        let skeleton = canonical_skeleton(skeleton)?;
+        let skeleton = canonical_skeleton(skeleton, !self.wishes.options.locked_joints.is_empty())?;
         admit_webhook(app, identity, &self.wishes).await?;
         let submission = Submission {
             skeleton: Some(skeleton.into()),

@@ -3,6 +3,7 @@
 
 mod archives;
 mod fbx;
+mod fbx_skeletons;
 mod materials;
 mod obj;
 mod ply_and_stl;

@@ -2,6 +2,7 @@
 
 mod existing_rigs;
 mod fixtures;
+mod kept_skeletons;
 mod reading;
 mod refusals;
 mod rig_files;

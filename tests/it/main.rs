@@ -18,7 +18,11 @@ mod metamorphic;
 mod operation;
 mod pipeline;
 mod program;
+mod reskin;
 mod revision;
 #[path = "../stand_ins/s3.rs"]
 mod s3;
+mod shapes;
 mod skin;
+mod skin_choice;
+mod skin_options;

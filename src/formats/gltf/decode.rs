@@ -5,15 +5,16 @@
 
 use super::bake::{Edit, Frame, dequantise, mode, named};
 use super::buffers::{Sources, embed_images, load};
-use super::existing_rig::{self, OldRig};
+use super::existing_rig::{self, OldJoints};
 use super::json::{items, malformed, member_reference, parse};
+use super::kept_skin::{self, KeptSkin};
 use super::node_graph::{NodeGraph, check_count};
 use super::references::{Kind, UsedBefore, remove_all};
 use super::{Document, SkinnedPrimitive, animations, container, document, flatten, meshopt, triangles};
 use crate::formats::soundness::check_counts;
 use crate::formats::{
     Asset, Axes, Axis, Contents, DecodeError, DecodeOptions, ExistingRig, ExistingRigPolicy, Finding, Format, Limits,
-    Part, Severity, Siblings, Source,
+    OldRig, Part, Severity, Siblings, Source,
 };
 use crate::mesh::Mesh;
 use glam::{DMat4, DVec3};
@@ -50,11 +51,11 @@ pub fn decode(
 
     let format = if container::is_glb(bytes) { Format::Glb } else { Format::Gltf };
     let (mesh, parts, skinned) = read_mesh(&mut json, &mut binary, limits, &prepared.placed)?;
-    let document = Document { json, binary, other_chunks, skinned, scenes: prepared.scenes };
+    let document = Document { json, binary, other_chunks, skinned, kept: prepared.kept, scenes: prepared.scenes };
     let axes = Some(Axes { up: Axis::PosY, front: Axis::PosZ });
     let source = Source::Gltf(Box::new(document));
-    let Prepared { contents, existing_rig, .. } = prepared;
-    Ok(Asset { format, mesh, parts, axes, contents, existing_rig, findings, source })
+    let Prepared { contents, existing_rig, old_rig, .. } = prepared;
+    Ok(Asset { format, mesh, parts, axes, contents, existing_rig, old_rig, findings, source })
 }
 
 fn check_list_lengths(json: &Value, limits: &Limits) -> Result<(), DecodeError> {
@@ -77,6 +78,8 @@ struct Prepared {
     scenes: Vec<usize>,
     contents: Contents,
     existing_rig: Option<ExistingRig>,
+    old_rig: Option<OldRig>,
+    kept: Option<KeptSkin>,
     findings: Vec<Finding>,
 }
 
@@ -88,8 +91,8 @@ fn prepare(
     options: &DecodeOptions,
 ) -> Result<Prepared, DecodeError> {
     let graph = NodeGraph::new(json, limits)?;
-    let old_rig = existing_rig::find(json)?;
-    let existing_rig = old_rig.as_ref().map(|rig| ExistingRig { skins: rig.skins, joints: rig.joints.len() });
+    let old_joints = existing_rig::find(json)?;
+    let existing_rig = old_joints.as_ref().map(|rig| ExistingRig { skins: rig.skins.len(), joints: rig.joints.len() });
     if let (Some(ExistingRig { skins, joints }), ExistingRigPolicy::Reject) = (existing_rig, options.existing_rig) {
         return Err(DecodeError::AlreadyRigged { skins, joints });
     }
@@ -105,10 +108,20 @@ fn prepare(
         .iter()
         .map(|&(node, mesh)| existing_rig::frames(&edit, &graph, &mut evaluated, node, mesh))
         .collect::<Result<_, _>>()?;
-    match &old_rig {
-        Some(_) => findings.extend(existing_rig::strip(edit.json)),
+    let (mut old_rig, mut kept) = (None, None);
+    if let Some(old) = old_joints.as_ref().filter(|_| options.wants_old_rig()) {
+        let (rig, skin) = kept_skin::read(&edit, &graph, old, &shown)?;
+        old_rig = Some(rig);
+        kept = (options.existing_rig == ExistingRigPolicy::Reskin).then_some(skin);
+    }
+    let kept_nodes: BTreeSet<usize> = kept.iter().flat_map(|kept| kept.nodes.iter().copied()).collect();
+    match &old_joints {
+        Some(_) => existing_rig::strip(edit.json),
         // Attributes without a skin mean nothing, and would stand beside ours.
         None => existing_rig::strip_influences(edit.json),
+    }
+    if old_joints.is_some() && kept.is_none() {
+        findings.extend(existing_rig::strip_descriptions(edit.json));
     }
     let own = flatten::own_meshes(edit.json, &shown, limits)?;
     // Anew: strip and copies changed who uses what.
@@ -117,7 +130,7 @@ fn prepare(
         edit.bake(mesh, frames, frame_of)?;
     }
     dequantise(&mut edit)?;
-    let moved = flatten::to_root(json, &graph, &shown);
+    let moved = flatten::to_root(json, &graph, &shown, &kept_nodes);
     findings.extend(moved.findings);
     tell_of_changes(&shown, &own, &frames, &mut findings);
     let scenes: BTreeSet<usize> = shown.iter().flat_map(|&(node, _)| graph.scenes_of(node)).collect();
@@ -127,11 +140,11 @@ fn prepare(
         .zip(&moved.nodes)
         .map(|((&(_, source_mesh), &mesh), &node)| Placed { node, mesh, source_mesh })
         .collect();
-    if let Some(rig) = &old_rig {
+    if let Some(rig) = old_joints.as_ref().filter(|_| kept.is_none()) {
         findings.extend(remove_old_joints(json, &graph, rig, &mut placed));
     }
     flatten::make_scene_if_none(json);
-    Ok(Prepared { placed, scenes: scenes.into_iter().collect(), contents, existing_rig, findings })
+    Ok(Prepared { placed, scenes: scenes.into_iter().collect(), contents, existing_rig, old_rig, kept, findings })
 }
 
 /// Nodes of the shown scene whose mesh has triangles, with that mesh.
@@ -263,13 +276,14 @@ fn tell_of_changes(
 }
 
 /// Takes the old skeleton's nodes away, or leaves them where an extension may refer to nodes by number.
-fn remove_old_joints(json: &mut Value, graph: &NodeGraph, rig: &OldRig, placed: &mut [Placed]) -> Vec<Finding> {
+fn remove_old_joints(json: &mut Value, graph: &NodeGraph, rig: &OldJoints, placed: &mut [Placed]) -> Vec<Finding> {
     let removable = existing_rig::removable_nodes(json, graph, &rig.joints);
     let gone = |node: usize| removable.contains(&node) || rig.joints.contains(&node);
     let dropped = animations::rewrite(json, |node, path| {
         if path != "weights" && gone(node) { animations::Channel::Drop } else { animations::Channel::Keep }
     });
-    let mut message = format!("the old rig of {} skin(s) and {} joint(s) was replaced", rig.skins, rig.joints.len());
+    let mut message =
+        format!("the old rig of {} skin(s) and {} joint(s) was replaced", rig.skins.len(), rig.joints.len());
     if dropped > 0 {
         message += &format!("; {dropped} animation channel(s) of its joints went with it");
     }

@@ -124,8 +124,16 @@ fn with_skin(
         return Err(EncodeError::RowCount { rows: rig.skin.rows.len(), vertices });
     }
     let (mut json, mut binary) = (document.json.clone(), document.binary.clone());
-    let skin = add_skin(&mut json, &mut binary, document, &rig.skeleton, options.names);
-    let slots = Slots::new(rig, options)?;
+    let (skin, slots) = match &document.kept {
+        None => {
+            let skin = add_skin(&mut json, &mut binary, document, &rig.skeleton, options.names);
+            (skin, Slots::new(&rig.skin, rig.skeleton.joints.len(), options)?)
+        }
+        Some(kept) => {
+            let skin = kept.add(&mut json, &mut binary, document)?;
+            (skin, Slots::new(&kept.in_places(&rig.skin)?, kept.nodes.len(), options)?)
+        }
+    };
     add_weights(&mut json, &mut binary, document, &slots);
     for primitive in &document.skinned {
         json["nodes"][primitive.node]["skin"] = json!(skin);
@@ -134,7 +142,7 @@ fn with_skin(
     // The buffer's length is the chunk's.
     binary.resize(binary.len().next_multiple_of(4), 0);
     super::buffers::set_buffer_length(&mut json, binary.len());
-    skin_check::check(&json, &binary)?;
+    skin_check::check(&json, &binary, document.kept.is_some())?;
     Ok((json, binary))
 }
 

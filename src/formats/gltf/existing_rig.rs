@@ -27,13 +27,13 @@ const OF_THE_SKELETON: &[&str] = &[
 const AT_REST: f64 = 1e-5;
 
 /// The skins in use and their joint nodes.
-pub(super) struct OldRig {
-    pub(super) skins: usize,
+pub(super) struct OldJoints {
+    pub(super) skins: BTreeSet<usize>,
     pub(super) joints: BTreeSet<usize>,
 }
 
 /// `None` when no mesh has a skin.
-pub(super) fn find(json: &Value) -> Result<Option<OldRig>, DecodeError> {
+pub(super) fn find(json: &Value) -> Result<Option<OldJoints>, DecodeError> {
     let (nodes, skins) = (items(json, "nodes"), items(json, "skins"));
     let mut used = BTreeSet::new();
     for (number, node) in nodes.iter().enumerate() {
@@ -44,10 +44,11 @@ pub(super) fn find(json: &Value) -> Result<Option<OldRig>, DecodeError> {
     for &skin in &used {
         joints.extend(joints_of(json, skin)?);
     }
-    Ok((!used.is_empty()).then_some(OldRig { skins: used.len(), joints }))
+    Ok((!used.is_empty()).then_some(OldJoints { skins: used, joints }))
 }
 
-fn joints_of(json: &Value, skin: usize) -> Result<Vec<usize>, DecodeError> {
+/// The joint nodes of a skin, as it lists them.
+pub(super) fn joints_of(json: &Value, skin: usize) -> Result<Vec<usize>, DecodeError> {
     let place = format!("skin {skin}");
     let nodes = items(json, "nodes").len();
     let listed = items(&items(json, "skins")[skin], "joints");
@@ -93,7 +94,7 @@ pub(super) fn frames(
                 frames.push(if key.is_empty() {
                     Frame::One(world)
                 } else {
-                    blended(edit, matrices, primitive, &key, &place)?
+                    blended(edit, matrices, primitive, &place)?
                 });
                 known.insert(key, frames.len() - 1);
                 frames.len() - 1
@@ -141,32 +142,39 @@ fn influence_accessors(json: &Value, primitive: &Value, place: &str) -> Result<V
     Ok(found)
 }
 
+/// Joints (as the skin lists them) and weights of each vertex of a primitive.
+pub(super) fn influences(edit: &Edit, primitive: &Value, place: &str) -> Result<Vec<Vec<(u32, f32)>>, DecodeError> {
+    let reader = edit.reader();
+    let position = primitive["attributes"].get("POSITION").and_then(index);
+    let count = reader.accessor(position.ok_or_else(|| malformed(place, "no POSITION"))?)?.count;
+    let mut rows = vec![Vec::new(); count];
+    for pair in influence_accessors(edit.json, primitive, place)?.chunks_exact(2) {
+        let joints = reader.accessor(pair[0])?;
+        let weights = reader.vectors::<4>(pair[1])?;
+        if joints.width != 4 || joints.count != count || weights.len() != count {
+            return Err(malformed(place, "JOINTS and WEIGHTS are not four per vertex"));
+        }
+        let joints = reader.wholes(&joints)?;
+        for ((row, joints), weights) in rows.iter_mut().zip(joints.as_chunks::<4>().0).zip(&weights) {
+            let used = joints.iter().copied().zip(weights.iter().copied()).filter(|(_, weight)| *weight > 0.0);
+            row.extend(used);
+        }
+    }
+    Ok(rows)
+}
+
 /// Linear blend of the joint matrices per vertex.
-fn blended(
-    edit: &Edit,
-    matrices: &[DMat4],
-    primitive: &Value,
-    influences: &[usize],
-    place: &str,
-) -> Result<Frame, DecodeError> {
+fn blended(edit: &Edit, matrices: &[DMat4], primitive: &Value, place: &str) -> Result<Frame, DecodeError> {
     let reader = edit.reader();
     let position = primitive["attributes"].get("POSITION").and_then(index);
     let positions = reader.vectors::<3>(position.ok_or_else(|| malformed(place, "no POSITION"))?)?;
     let mut sums = vec![(DMat4::ZERO, 0.0); positions.len()];
-    for pair in influences.chunks_exact(2) {
-        let joints = reader.accessor(pair[0])?;
-        let weights = reader.vectors::<4>(pair[1])?;
-        if joints.width != 4 || joints.count != positions.len() || weights.len() != positions.len() {
-            return Err(malformed(place, "JOINTS and WEIGHTS are not four per vertex"));
-        }
-        let joints = reader.wholes(&joints)?;
-        for ((sum, joints), weights) in sums.iter_mut().zip(joints.as_chunks::<4>().0).zip(&weights) {
-            for (&joint, &weight) in joints.iter().zip(weights).filter(|(_, weight)| **weight > 0.0) {
-                let matrix = matrices.get(joint as usize);
-                let matrix = matrix.ok_or_else(|| out_of_range(place, "joint", i64::from(joint), matrices.len()))?;
-                sum.0 += *matrix * f64::from(weight);
-                sum.1 += f64::from(weight);
-            }
+    for (sum, row) in sums.iter_mut().zip(influences(edit, primitive, place)?) {
+        for (joint, weight) in row {
+            let matrix = matrices.get(joint as usize);
+            let matrix = matrix.ok_or_else(|| out_of_range(place, "joint", i64::from(joint), matrices.len()))?;
+            sum.0 += *matrix * f64::from(weight);
+            sum.1 += f64::from(weight);
         }
     }
     // A vertex without weights follows the first joint, as viewers do.
@@ -188,14 +196,18 @@ fn is_at_rest(frames: &[DMat4], positions: &[[f32; 3]]) -> bool {
     })
 }
 
-/// Takes skins, their attributes and what describes the old skeleton out of the document. Joint nodes go later, once
-/// the meshes that hang on them have moved ([`removable_nodes`]).
-pub(super) fn strip(json: &mut Value) -> Vec<Finding> {
+/// Takes skins and their attributes out of the document.
+pub(super) fn strip(json: &mut Value) {
     remove(json, "skins");
     items_mut_if_any(json, "nodes").iter_mut().for_each(|node| {
         remove(node, "skin");
     });
     strip_influences(json);
+}
+
+/// Takes what describes the old skeleton out of the document. Its nodes go later, once the meshes that hang on them have moved
+/// ([`removable_nodes`]).
+pub(super) fn strip_descriptions(json: &mut Value) -> Vec<Finding> {
     let described: Vec<&str> =
         OF_THE_SKELETON.iter().copied().filter(|name| json["extensions"].get(*name).is_some()).collect();
     for name in OF_THE_SKELETON {

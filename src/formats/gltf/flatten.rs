@@ -58,8 +58,8 @@ pub(super) struct Moved {
     pub(super) findings: Vec<Finding>,
 }
 
-/// Puts every shown mesh on a node at the root of its scenes, without a transform.
-pub(super) fn to_root(json: &mut Value, graph: &NodeGraph, shown: &[(usize, usize)]) -> Moved {
+/// Puts every shown mesh on a node at the root of its scenes, without a transform. Nodes of `kept` stay as and where they are.
+pub(super) fn to_root(json: &mut Value, graph: &NodeGraph, shown: &[(usize, usize)], kept: &BTreeSet<usize>) -> Moved {
     let animated = animated_nodes(json);
     let mut nodes = Vec::with_capacity(shown.len());
     let mut split: BTreeMap<usize, usize> = BTreeMap::new();
@@ -68,8 +68,10 @@ pub(super) fn to_root(json: &mut Value, graph: &NodeGraph, shown: &[(usize, usiz
         let has_children = !items(&json["nodes"][node], "children").is_empty();
         let stays = graph.is_root(node)
             && is_untransformed(&json["nodes"][node])
-            && !(has_children && animated.contains(&node));
-        let carries = ["children", "camera", "extensions"].iter().any(|key| json["nodes"][node].get(*key).is_some());
+            && !(has_children && animated.contains(&node))
+            && !kept.contains(&node);
+        let carries = kept.contains(&node)
+            || ["children", "camera", "extensions"].iter().any(|key| json["nodes"][node].get(*key).is_some());
         let target = if stays || !carries { node } else { split_off(json, node) };
         if target == node {
             TRANSFORM.iter().for_each(|key| {

@@ -14,6 +14,7 @@ mod encode;
 mod existing_rig;
 mod flatten;
 mod json;
+mod kept_skin;
 mod layout_check;
 mod meshopt;
 mod node_graph;
@@ -41,7 +42,8 @@ const GENERATOR: &str = concat!("rigsmith ", env!("CARGO_PKG_VERSION"));
 /// A document that is whole but for its skin.
 ///
 /// All buffers are joined into one; mesh nodes that will be skinned stand at the root of their scenes without a transform,
-/// each with a mesh of its own whose positions are in world space; no skin is left of those that came with the file.
+/// each with a mesh of its own whose positions are in world space; no skin is left of those that came with the file, and their
+/// joints only where they are kept.
 #[derive(Clone)]
 pub struct Document {
     json: Value,
@@ -49,6 +51,8 @@ pub struct Document {
     /// Chunks of a GLB file besides JSON and BIN.
     other_chunks: Vec<(u32, Vec<u8>)>,
     skinned: Vec<SkinnedPrimitive>,
+    /// The joints that the file came with, where they are to be used.
+    kept: Option<kept_skin::KeptSkin>,
     /// Scenes that show a mesh to be skinned; its joints must be in them too.
     scenes: Vec<usize>,
 }

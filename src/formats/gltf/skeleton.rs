@@ -6,9 +6,12 @@
 use super::json::{items, parse, text};
 use super::node_graph::NodeGraph;
 use super::{container, document, existing_rig};
-use crate::formats::rig_json::{self, ReadJoint, RigFileError};
+use crate::formats::old_rig::{GraphNode, skeleton_of};
+use crate::formats::rig_json::RigFileError;
 use crate::formats::{DecodeError, Limits};
 use crate::rig::Skeleton;
+use serde_json::Value;
+use std::collections::BTreeSet;
 
 /// Whether these bytes are a GLB file.
 pub fn is_glb(bytes: &[u8]) -> bool {
@@ -17,29 +20,36 @@ pub fn is_glb(bytes: &[u8]) -> bool {
 
 /// Reads the skeleton of a GLB file.
 pub fn read_skeleton(bytes: &[u8], limits: &Limits) -> Result<Skeleton, RigFileError> {
-    let joints = joints(bytes, limits).map_err(|error| RigFileError::Glb { problem: error.to_string() })?;
-    rig_json::skeleton(joints)
+    let unreadable = |error: DecodeError| RigFileError::Unreadable { problem: error.to_string() };
+    let json = container::split(bytes).and_then(|container| parse(container.json, limits)).map_err(unreadable)?;
+    document::check(&json).map_err(unreadable)?;
+    let graph = NodeGraph::new(&json, limits).map_err(unreadable)?;
+    let rig = existing_rig::find(&json).map_err(unreadable)?;
+    let joints = rig.map(|rig| rig.joints).unwrap_or_default();
+    Ok(joints_of(&json, &graph, &joints)?.0)
 }
 
-fn joints(bytes: &[u8], limits: &Limits) -> Result<Vec<ReadJoint>, DecodeError> {
-    let json = parse(container::split(bytes)?.json, limits)?;
-    document::check(&json)?;
-    let graph = NodeGraph::new(&json, limits)?;
-    let Some(rig) = existing_rig::find(&json)? else { return Ok(Vec::new()) };
-    let nodes: Vec<usize> = graph.order.iter().copied().filter(|node| rig.joints.contains(node)).collect();
-    let mut index_of = vec![None; graph.parents.len()];
-    for (index, &node) in nodes.iter().enumerate() {
-        index_of[node] = Some(index);
+/// `joints` (nodes) as a skeleton, and the node of each of its joints.
+pub(super) fn joints_of(
+    json: &Value,
+    graph: &NodeGraph,
+    joints: &BTreeSet<usize>,
+) -> Result<(Skeleton, Vec<usize>), RigFileError> {
+    let mut place = vec![0; graph.order.len()];
+    for (at, &node) in graph.order.iter().enumerate() {
+        place[node] = at;
     }
-    let joint_above = |node: usize| {
-        // Parents form a forest, so the way up ends.
-        let above = std::iter::successors(graph.parents[node], |&node| graph.parents[node]);
-        above.into_iter().find_map(|node| index_of[node])
-    };
-    let joint = |&node: &usize| ReadJoint {
-        name: text(&items(&json, "nodes")[node], "name").to_owned(),
-        parent: joint_above(node),
-        position: graph.world[node].w_axis.truncate().to_array(),
-    };
-    Ok(nodes.iter().map(joint).collect())
+    let nodes = items(json, "nodes");
+    let graph_nodes: Vec<GraphNode> = graph
+        .order
+        .iter()
+        .map(|&node| GraphNode {
+            name: text(&nodes[node], "name"),
+            parent: graph.parents[node].map(|parent| place[parent]),
+            position: graph.world[node].w_axis.truncate(),
+            is_joint: joints.contains(&node),
+        })
+        .collect();
+    let (skeleton, of) = skeleton_of(&graph_nodes)?;
+    Ok((skeleton, of.into_iter().map(|at| graph.order[at]).collect()))
 }

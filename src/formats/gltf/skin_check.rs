@@ -4,6 +4,7 @@
 use super::accessors::Reader;
 use super::encode::EncodeError;
 use super::json::{index, items};
+use super::kept_skin;
 use crate::formats::Limits;
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -11,13 +12,14 @@ use std::collections::BTreeMap;
 /// Sums of float weights may differ from one by this much per weight that is not zero.
 const SUM_TOLERANCE: f32 = 2e-7;
 
-/// Checks every skinned node of a document whose one buffer is `binary`.
-pub(super) fn check(json: &Value, binary: &[u8]) -> Result<(), EncodeError> {
+/// Checks every skinned node of a document whose one buffer is `binary`. Joints that were `kept` are as their sender made them:
+/// turned, scaled, in any order.
+pub(super) fn check(json: &Value, binary: &[u8], kept: bool) -> Result<(), EncodeError> {
     let limits = Limits::default();
     let checker = Checker { json, reader: Reader { json, binary, limits: &limits }, parents: parents(json) };
     let skins = items(json, "skins");
     for skin in 0..skins.len() {
-        checker.skin(skin)?;
+        if kept { checker.kept_skin(skin)? } else { checker.skin(skin)? }
     }
     let mut checked: BTreeMap<(usize, usize), ()> = BTreeMap::new();
     for (number, node) in items(json, "nodes").iter().enumerate() {
@@ -102,6 +104,19 @@ impl Checker<'_> {
         Ok(())
     }
 
+    fn kept_skin(&self, number: usize) -> Result<(), EncodeError> {
+        let place = format!("skins/{number}");
+        let skin = &items(self.json, "skins")[number];
+        let joints: Vec<usize> = items(skin, "joints").iter().filter_map(index).collect();
+        let accessor = skin.get("inverseBindMatrices").and_then(index);
+        let matrices = accessor.and_then(|accessor| self.reader.vectors::<16>(accessor).ok());
+        match matrices.filter(|matrices| !joints.is_empty() && matrices.len() == joints.len()) {
+            None => fault("INVALID_IBM_ACCESSOR_COUNT", place),
+            Some(matrices) if kept_skin::are_inverses(self.json, &joints, &matrices) => Ok(()),
+            Some(_) => fault("ACCESSOR_INVALID_IBM", place),
+        }
+    }
+
     fn node(&self, number: usize, skin: usize, place: &str) -> Result<(), EncodeError> {
         let node = &self.json["nodes"][number];
         if ["matrix", "translation", "rotation", "scale"].iter().any(|key| node.get(*key).is_some()) {
@@ -110,12 +125,19 @@ impl Checker<'_> {
         if self.parents.get(number).copied().flatten().is_some() {
             return fault("NODE_SKINNED_MESH_NON_ROOT", place);
         }
-        let root = items(self.json, "skins").get(skin).and_then(|skin| skin.get("skeleton")).and_then(index);
+        let joints = items(self.json, "skins").get(skin).map_or(&[][..], |skin| items(skin, "joints"));
+        let root = joints.first().and_then(index).map(|joint| self.root_of(joint));
         let shows = |scene: &Value, node: usize| items(scene, "nodes").iter().any(|root| index(root) == Some(node));
         let scenes = items(self.json, "scenes");
         let mut shown = scenes.iter().filter(|scene| shows(scene, number)).peekable();
         let is_together = shown.peek().is_some() && shown.all(|scene| root.is_some_and(|root| shows(scene, root)));
         if is_together { Ok(()) } else { fault("NODE_SKIN_NO_SCENE", place) }
+    }
+
+    fn root_of(&self, joint: usize) -> usize {
+        let above = |&node: &usize| self.parents.get(node).copied().flatten();
+        // No way up passes a node twice; the bound is for documents that are no forest.
+        std::iter::successors(Some(joint), above).take(self.parents.len()).last().unwrap_or(joint)
     }
 
     /// Joints and weights of one primitive.
@@ -222,7 +244,7 @@ mod tests {
     #[test]
     fn a_sound_skin_passes_and_each_fault_is_found_by_its_code() {
         let (json, binary) = skinned();
-        assert_eq!(check(&json, &binary), Ok(()));
+        assert_eq!(check(&json, &binary, false), Ok(()));
         type Change = fn(&mut Value, &mut Vec<u8>);
         let cases: &[(&str, Change)] = &[
             ("SKIN_SKELETON_INVALID", |json, _| json["skins"][0]["skeleton"] = json!(2)),
@@ -251,7 +273,7 @@ mod tests {
         for (code, change) in cases {
             let (mut json, mut binary) = skinned();
             change(&mut json, &mut binary);
-            match check(&json, &binary) {
+            match check(&json, &binary, false) {
                 Err(EncodeError::Invalid { code: found, .. }) => assert_eq!(found, *code),
                 other => panic!("{code}: {other:?}"),
             }

@@ -1,7 +1,7 @@
 //! Skin weights as vertex attributes: sets of four joints and four weights, heaviest first.
 
 use super::encode::{EncodeError, EncodeOptions};
-use crate::rig::{Influence, Rig};
+use crate::rig::{Influence, SkinWeights};
 
 /// Number type of the weights in the file.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -43,10 +43,8 @@ pub(super) struct Slots {
 }
 
 impl Slots {
-    pub(super) fn new(rig: &Rig, options: &EncodeOptions) -> Result<Self, EncodeError> {
-        let joints = rig.skeleton.joints.len();
-        let rows: Vec<Vec<Influence>> = rig
-            .skin
+    pub(super) fn new(skin: &SkinWeights, joints: usize, options: &EncodeOptions) -> Result<Self, EncodeError> {
+        let rows: Vec<Vec<Influence>> = skin
             .rows
             .iter()
             .enumerate()

@@ -36,8 +36,14 @@ fn given(options: RigOptions) -> Vec<(&'static str, Value)> {
         fingers,
         skin_method,
         boxes,
+        skin_fallback,
         skeleton,
+        non_deforming,
+        locked_joints,
         max_influences,
+        smooth,
+        prune,
+        mirror_weights,
         seed,
         up,
         front,
@@ -49,7 +55,7 @@ fn given(options: RigOptions) -> Vec<(&'static str, Value)> {
         labels,
         webhook,
     } = options;
-    let outputs = if outputs.is_empty() { None } else { Some(Value::from(outputs)) };
+    let list = |names: Vec<String>| if names.is_empty() { None } else { Some(Value::from(names)) };
     let labels = labels.into_iter().map(|(name, value)| (name, Value::from(value))).collect::<Map<_, _>>();
     let labels = if labels.is_empty() { None } else { Some(Value::Object(labels)) };
     let fields = [
@@ -60,13 +66,19 @@ fn given(options: RigOptions) -> Vec<(&'static str, Value)> {
         ("fingers", fingers.map(Value::from)),
         ("skin_method", skin_method.map(Value::from)),
         ("boxes", boxes.map(Value::from)),
+        ("skin_fallback", list(skin_fallback)),
         ("skeleton", skeleton.map(Value::from)),
+        ("non_deforming", list(non_deforming)),
+        ("locked_joints", list(locked_joints)),
         ("max_influences", max_influences.map(Value::from)),
+        ("smooth", smooth.map(number)),
+        ("prune", prune.map(number)),
+        ("mirror_weights", mirror_weights.map(Value::from)),
         ("seed", seed.map(Value::from)),
         ("up", up.map(Value::from)),
         ("front", front.map(Value::from)),
         ("existing_rig", existing_rig.map(Value::from)),
-        ("outputs", outputs),
+        ("outputs", list(outputs)),
         ("priority", priority.map(Value::from)),
         ("timeout_seconds", timeout_seconds.map(Value::from)),
         ("retention_hours", retention_hours.map(Value::from)),

@@ -46,15 +46,42 @@ pub struct OptionsView {
     #[param(required = false, value_type = BoxesName)]
     #[schema(example = "auto", required = false, value_type = BoxesName)]
     pub boxes: &'static str,
+    /// Skin methods that may take the place of one that cannot run here, in this order; none unless given. `result.skin.reason` and a
+    /// warning say so when one does. In a query or form, separated by commas.
+    #[param(required = false, style = Form, explode = false, value_type = Vec<String>)]
+    #[schema(example = json!([]), required = false, value_type = Vec<String>)]
+    pub skin_fallback: Vec<&'static str>,
     /// A skeleton to make weights for, instead of making one: the text of a `rig.json`, of which `format` and `joints` are
     /// read; in JSON also as an object. It stays as it is. A job shows how many joints it has.
     #[param(required = false)]
     #[schema(example = json!(null), required = false)]
     pub skeleton: Option<String>,
+    /// Joints of a skeleton that is there which must not move vertices, such as targets of inverse kinematics: names, or patterns
+    /// with `*` and `?`. They stay in the skeleton, without weights. In a query or form, separated by commas.
+    #[param(required = false, style = Form, explode = false)]
+    #[schema(example = json!(["IK_*"]), required = false)]
+    pub non_deforming: Vec<String>,
+    /// Joints of a skeleton that is there which keep the weights that they have in the file, or in the `skins` of `skeleton`; the others
+    /// share what is left. Named as `non_deforming`.
+    #[param(required = false, style = Form, explode = false)]
+    #[schema(example = json!(["Head"]), required = false)]
+    pub locked_joints: Vec<String>,
     /// Joints per vertex at most; 4 unless given.
     #[param(required = false, minimum = 1, maximum = 8)]
     #[schema(example = 4, minimum = 1, maximum = 8, required = false)]
     pub max_influences: usize,
+    /// How far weights run into each other along the surface, never across a gap: 0 (as the method gives them, unless given) to 1.
+    #[param(required = false, minimum = 0, maximum = 1)]
+    #[schema(example = 0.0, minimum = 0, maximum = 1, required = false)]
+    pub smooth: f64,
+    /// Weights below this share of a vertex's are dropped; 0.001 unless given.
+    #[param(required = false, minimum = 0, maximum = 0.5)]
+    #[schema(example = 0.001, minimum = 0, maximum = 0.5, required = false)]
+    pub prune: f64,
+    /// Whether the weights of left and right are made alike, where both mesh and joints are; `off` unless given.
+    #[param(required = false, value_type = SymmetryName)]
+    #[schema(example = "off", required = false, value_type = SymmetryName)]
+    pub mirror_weights: &'static str,
     /// The same bytes for the same seed; 0 unless given.
     #[param(required = false, minimum = 0)]
     #[schema(example = 0, minimum = 0, required = false)]
@@ -67,7 +94,8 @@ pub struct OptionsView {
     #[param(required = false)]
     #[schema(example = "auto", required = false)]
     pub front: &'static str,
-    /// For a file that has a skeleton; `reject` unless given.
+    /// For a file that has a skeleton; `reject` unless given. `reskin` keeps it as it is, with names, order, orientations and all
+    /// other nodes, and makes new weights.
     #[param(required = false, value_type = ExistingRigName)]
     #[schema(example = "reject", required = false, value_type = ExistingRigName)]
     pub existing_rig: &'static str,
@@ -211,8 +239,14 @@ impl From<&RigOptions> for OptionsView {
             fingers: options.fingers.name(),
             skin_method: skin_method_name(options.skin_method),
             boxes: options.boxes.name(),
-            skeleton: options.skeleton.as_ref().map(|skeleton| format!("{} joints", skeleton.joints.len())),
+            skin_fallback: options.skin_fallback.iter().map(|method| method.name()).collect(),
+            skeleton: options.skeleton.as_ref().map(|given| format!("{} joints", given.skeleton.joints.len())),
+            non_deforming: options.non_deforming.clone(),
+            locked_joints: options.locked_joints.clone(),
             max_influences: options.max_influences,
+            smooth: options.smooth,
+            prune: options.prune,
+            mirror_weights: options.mirror_weights.name(),
             seed: options.seed,
             up: axis_name(options.up),
             front: axis_name(options.front),

@@ -5,7 +5,8 @@ use super::error::{ApiError, Code, Facts};
 use super::negotiate::query;
 use super::segments::Segments;
 use super::views::{ModelView, models};
-use crate::jobs::{Availability, MethodInfo, Refusal};
+use crate::jobs::{Availability, MethodInfo, Refusal, SkinMethodInfo};
+use crate::pipelines::skin_choice::MeasuredL1;
 use axum::Json;
 use axum::extract::State;
 use axum::http::Uri;
@@ -42,6 +43,23 @@ pub struct MethodListView {
     pub limits: BTreeMap<&'static str, u64>,
 }
 
+/// A skin method and how good it is.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(as = SkinMethodInfo)]
+pub struct SkinMethodView {
+    #[schema(example = "heter_skin_net")]
+    pub name: &'static str,
+    /// `skin_method=auto` means this one.
+    pub auto: bool,
+    #[schema(example = true)]
+    pub available: bool,
+    /// Why it cannot run here.
+    pub unavailable_reason: Option<String>,
+    /// Mean L1 to the artists' weights on validation rigs: of organic characters, of box models, and of all.
+    #[schema(example = json!({"organic": 0.507, "box": 0.464, "all": 0.49}))]
+    pub mean_l1: BTreeMap<&'static str, f64>,
+}
+
 #[derive(Debug, Serialize, ToSchema)]
 #[schema(as = Method)]
 pub struct MethodView {
@@ -58,6 +76,8 @@ pub struct MethodView {
     #[schema(example = "CC-BY-4.0")]
     pub licence: String,
     pub models: Vec<ModelView>,
+    /// What may weigh the vertices, the best first.
+    pub skin_methods: Vec<SkinMethodView>,
     #[schema(example = json!({"faces": 2_000_000, "vertices": 1_000_000}))]
     pub limits: BTreeMap<&'static str, u64>,
 }
@@ -189,12 +209,30 @@ fn kind(code: Code) -> ProblemKindView {
     ProblemKindView { code, status: status.as_u16(), title, meaning }
 }
 
+fn why_unavailable(availability: &Availability) -> Option<String> {
+    match availability {
+        Availability::Available => None,
+        Availability::Unavailable { reason } => Some(reason.clone()),
+    }
+}
+
+impl From<&SkinMethodInfo> for SkinMethodView {
+    fn from(method: &SkinMethodInfo) -> Self {
+        let MeasuredL1 { organic, boxes, all } = method.mean_l1;
+        let unavailable_reason = why_unavailable(&method.availability);
+        Self {
+            name: method.name,
+            auto: method.is_auto,
+            available: unavailable_reason.is_none(),
+            unavailable_reason,
+            mean_l1: BTreeMap::from([("organic", organic), ("box", boxes), ("all", all)]),
+        }
+    }
+}
+
 impl From<&MethodInfo> for MethodView {
     fn from(method: &MethodInfo) -> Self {
-        let unavailable_reason = match &method.availability {
-            Availability::Available => None,
-            Availability::Unavailable { reason } => Some(reason.clone()),
-        };
+        let unavailable_reason = why_unavailable(&method.availability);
         Self {
             name: method.name.clone(),
             title: method.title.clone(),
@@ -203,6 +241,7 @@ impl From<&MethodInfo> for MethodView {
             unavailable_reason,
             licence: method.licence.clone(),
             models: models(&method.models),
+            skin_methods: method.skin_methods.iter().map(SkinMethodView::from).collect(),
             limits: method.limits.iter().copied().collect(),
         }
     }

@@ -34,13 +34,13 @@ const NOT_HERE: &[(&str, &str)] = &[
     ("forward_axis", "it is called front here"),
     ("max_joints", "detail decides how many joints there are"),
     ("fingers", "detail decides how much is found"),
-    ("skinning", "skin_method and max_influences are fields of their own"),
+    ("skinning", "skin_method, max_influences, smooth and prune are fields of their own"),
     ("naming", "joints are numbered"),
     ("root_joint", "the root is the joint that the method finds"),
     ("leaf_joints", "there are none beyond the joints that the method finds"),
     ("height_meters", "the scale of the file is kept"),
     ("animation", "no clip is made"),
-    ("fallback", "a method that fails says so; ask for another one then"),
+    ("fallback", "skin_fallback names what may weigh in place of a method that cannot run here"),
     ("expert", "bandwidth is a field of its own"),
 ];
 

@@ -95,7 +95,8 @@ async fn orders_give_the_same_rigs_and_refusals() {
             (
                 order(
                     "ok 2",
-                    json!({"detail": 0.7, "symmetry": "off", "max_influences": 8, "seed": 5, "up": "-z",
+                    json!({"detail": 0.7, "symmetry": "off", "max_influences": 8, "smooth": 0.25, "prune": 0.01, "mirror_weights": "auto",
+                "skin_fallback": ["geodesic_heat"], "non_deforming": ["IK_*"], "locked_joints": ["Head"], "seed": 5, "up": "-z",
                 "existing_rig": "replace", "outputs": ["glb", "rig_json"], "priority": "low", "timeout_seconds": 20,
                 "labels": {"project": "b"}}),
                 ),
@@ -109,6 +110,7 @@ async fn orders_give_the_same_rigs_and_refusals() {
             (of("asset"), "not_found"),
             (from("https://example.com/a.glb"), "invalid_parameter"),
             (order("ok", json!({"detail": 2.0, "max_influences": 99})), "invalid_parameter"),
+            (order("ok", json!({"smooth": -0.1, "prune": 0.7})), "invalid_parameter"),
             (order("ok", json!({"detail": 0.5, "bandwidth": 0.05})), "invalid_parameter"),
             (order("ok", json!({"outputs": ["fbx"]})), "invalid_parameter"),
             (

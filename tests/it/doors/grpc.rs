@@ -209,16 +209,19 @@ fn options(members: &Value) -> RigOptions {
             "bandwidth" => options.bandwidth = value.as_f64(),
             "symmetry" => options.symmetry = text(),
             "max_influences" => options.max_influences = value.as_u64().map(|number| number as u32),
+            "skin_fallback" => options.skin_fallback = names(value),
+            "non_deforming" => options.non_deforming = names(value),
+            "locked_joints" => options.locked_joints = names(value),
+            "smooth" => options.smooth = value.as_f64(),
+            "prune" => options.prune = value.as_f64(),
+            "mirror_weights" => options.mirror_weights = text(),
             "seed" => options.seed = value.as_u64(),
             "up" => options.up = text(),
             "existing_rig" => options.existing_rig = text(),
             "priority" => options.priority = text(),
             "timeout_seconds" => options.timeout_seconds = value.as_u64(),
             "skeleton" => options.skeleton = text(),
-            "outputs" => {
-                let names = value.as_array().expect("a list").iter();
-                options.outputs = names.map(|name| name.as_str().expect("a text").to_owned()).collect();
-            }
+            "outputs" => options.outputs = names(value),
             "labels" => {
                 let labels = value.as_object().expect("labels").iter();
                 options.labels =
@@ -234,6 +237,10 @@ fn options(members: &Value) -> RigOptions {
         }
     }
     options
+}
+
+fn names(list: &Value) -> Vec<String> {
+    list.as_array().expect("a list").iter().map(|name| name.as_str().expect("a text").to_owned()).collect()
 }
 
 fn name(state: State) -> String {
@@ -278,6 +285,8 @@ pub fn rig_json(rig: Rig) -> Value {
         "request": {
             "method": wanted.method, "detail": wanted.detail, "bandwidth": wanted.bandwidth, "symmetry": wanted.symmetry,
             "skin_method": wanted.skin_method, "skeleton": wanted.skeleton, "max_influences": wanted.max_influences,
+            "smooth": wanted.smooth, "prune": wanted.prune, "mirror_weights": wanted.mirror_weights,
+            "skin_fallback": wanted.skin_fallback, "non_deforming": wanted.non_deforming, "locked_joints": wanted.locked_joints,
             "seed": wanted.seed, "up": wanted.up, "front": wanted.front, "existing_rig": wanted.existing_rig,
             "outputs": wanted.outputs, "priority": wanted.priority, "timeout_seconds": wanted.timeout_seconds,
             "retention_hours": wanted.retention_hours, "labels": wanted.labels,

@@ -148,7 +148,7 @@ fn faults_of_an_old_skin_are_named() {
 }
 
 /// The shared sample characters; not in the repository.
-fn samples() -> Vec<(String, Vec<u8>)> {
+pub fn samples() -> Vec<(String, Vec<u8>)> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/samples");
     let Ok(entries) = std::fs::read_dir(&folder) else {
         eprintln!("skipped: {} is not there", folder.display());

@@ -80,7 +80,11 @@ fn every_value_replaced_by_any_other_kind_decodes_or_is_refused_without_panic() 
         json!([{}]),
         json!({}),
     ];
-    let options = DecodeOptions { existing_rig: ExistingRigPolicy::Replace, allow_missing_textures: true };
+    let options = DecodeOptions {
+        existing_rig: ExistingRigPolicy::Replace,
+        allow_missing_textures: true,
+        ..DecodeOptions::default()
+    };
     for fixture in [
         existing_rigs::rigged_fixture().glb(),
         reading::quantised().glb(),

@@ -208,6 +208,7 @@ fn scene_asset() -> Asset {
             Material { emissive: [0.1, 0.0, 0.0], ..Material::default() },
         ],
         images: vec![Image { name: "skin.png".into(), media_type: ImageType::Png, bytes: pixel() }],
+        skeleton: None,
     };
     let parts = vec![Part { name: "hips".into(), mesh: 0, primitive: 0, vertices: 0..4 }];
     let mesh = Mesh { positions, triangles };
@@ -219,6 +220,7 @@ fn scene_asset() -> Asset {
         axes: None,
         contents: Contents::default(),
         existing_rig: None,
+        old_rig: None,
         findings: Vec::new(),
         source,
     }

@@ -177,6 +177,7 @@ impl Rigger for Scripted {
             availability,
             licence: "CC-BY-4.0".to_owned(),
             models,
+            skin_methods: vec![],
             limits: vec![("faces", 2_000_000)],
         };
         let model = ModelInfo { name: "skin".to_owned(), sha256: "00".repeat(32), self_test: "passed".to_owned() };
