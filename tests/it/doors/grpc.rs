@@ -274,6 +274,22 @@ pub fn rig_json(rig: Rig) -> Value {
     let error = rig.error.map(|error| {
         json!({"code": error.code, "stage": text(error.stage), "message": error.message, "hint": text(error.hint), "retryable": error.retryable})
     });
+    // In two parts: one is more than the macro takes.
+    let mut request = json!({
+        "method": wanted.method, "detail": wanted.detail, "bandwidth": wanted.bandwidth, "symmetry": wanted.symmetry,
+        "skin_method": wanted.skin_method, "boxes": wanted.boxes, "fingers": wanted.fingers, "skeleton": wanted.skeleton,
+        "max_influences": wanted.max_influences,
+        "smooth": wanted.smooth, "prune": wanted.prune, "mirror_weights": wanted.mirror_weights,
+        "skin_fallback": wanted.skin_fallback, "non_deforming": wanted.non_deforming, "locked_joints": wanted.locked_joints,
+        "seed": wanted.seed, "up": wanted.up, "front": wanted.front, "existing_rig": wanted.existing_rig,
+        "outputs": wanted.outputs,
+    });
+    let treated = json!({
+        "priority": wanted.priority, "timeout_seconds": wanted.timeout_seconds,
+        "retention_hours": wanted.retention_hours, "labels": wanted.labels,
+        "webhook": wanted.webhook.map(|webhook| json!({"url": webhook.url, "events": webhook.events})),
+    });
+    request.as_object_mut().expect("an object").extend(treated.as_object().expect("an object").clone());
     json!({
         "id": rig.id,
         "state": state,
@@ -282,16 +298,7 @@ pub fn rig_json(rig: Rig) -> Value {
         "attempt": rig.attempt,
         "cancel_requested": rig.cancel_requested,
         "queue_position": rig.queue_position,
-        "request": {
-            "method": wanted.method, "detail": wanted.detail, "bandwidth": wanted.bandwidth, "symmetry": wanted.symmetry,
-            "skin_method": wanted.skin_method, "skeleton": wanted.skeleton, "max_influences": wanted.max_influences,
-            "smooth": wanted.smooth, "prune": wanted.prune, "mirror_weights": wanted.mirror_weights,
-            "skin_fallback": wanted.skin_fallback, "non_deforming": wanted.non_deforming, "locked_joints": wanted.locked_joints,
-            "seed": wanted.seed, "up": wanted.up, "front": wanted.front, "existing_rig": wanted.existing_rig,
-            "outputs": wanted.outputs, "priority": wanted.priority, "timeout_seconds": wanted.timeout_seconds,
-            "retention_hours": wanted.retention_hours, "labels": wanted.labels,
-            "webhook": wanted.webhook.map(|webhook| json!({"url": webhook.url, "events": webhook.events})),
-        },
+        "request": request,
         "client_id": text(rig.client_id),
         "asset": text(rig.asset),
         "files": files_json(rig.files),
