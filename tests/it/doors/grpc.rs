@@ -208,6 +208,8 @@ fn options(members: &Value) -> RigOptions {
             "detail" => options.detail = value.as_f64(),
             "bandwidth" => options.bandwidth = value.as_f64(),
             "symmetry" => options.symmetry = text(),
+            "fingers" => options.fingers = text(),
+            "boxes" => options.boxes = text(),
             "max_influences" => options.max_influences = value.as_u64().map(|number| number as u32),
             "skin_fallback" => options.skin_fallback = names(value),
             "non_deforming" => options.non_deforming = names(value),
@@ -284,7 +286,7 @@ pub fn rig_json(rig: Rig) -> Value {
         "queue_position": rig.queue_position,
         "request": {
             "method": wanted.method, "detail": wanted.detail, "bandwidth": wanted.bandwidth, "symmetry": wanted.symmetry,
-            "skin_method": wanted.skin_method, "skeleton": wanted.skeleton, "max_influences": wanted.max_influences,
+            "fingers": wanted.fingers, "boxes": wanted.boxes, "skin_method": wanted.skin_method, "skeleton": wanted.skeleton, "max_influences": wanted.max_influences,
             "smooth": wanted.smooth, "prune": wanted.prune, "mirror_weights": wanted.mirror_weights,
             "skin_fallback": wanted.skin_fallback, "non_deforming": wanted.non_deforming, "locked_joints": wanted.locked_joints,
             "seed": wanted.seed, "up": wanted.up, "front": wanted.front, "existing_rig": wanted.existing_rig,
