@@ -95,7 +95,7 @@ async fn orders_give_the_same_rigs_and_refusals() {
             (
                 order(
                     "ok 2",
-                    json!({"detail": 0.7, "symmetry": "off", "max_influences": 8, "smooth": 0.25, "prune": 0.01, "mirror_weights": "auto",
+                    json!({"detail": 0.7, "symmetry": "off", "fingers": "on", "boxes": "off", "max_influences": 8, "smooth": 0.25, "prune": 0.01, "mirror_weights": "auto",
                 "skin_fallback": ["geodesic_heat"], "non_deforming": ["IK_*"], "locked_joints": ["Head"], "seed": 5, "up": "-z",
                 "existing_rig": "replace", "outputs": ["glb", "rig_json"], "priority": "low", "timeout_seconds": 20,
                 "labels": {"project": "b"}}),
@@ -150,7 +150,7 @@ async fn batches_give_the_same_results_and_refusals() {
         let two = vec![of("a", json!({"seed": 3})), of("b", json!({"seed": 4, "labels": {"project": "b"}}))];
         let more = vec![
             of("fine", json!({})),
-            of("detail", json!({"detail": 9})),
+            of("detail", json!({"detail": 9.5})),
             of("priority", json!({"priority": "high"})),
             ("gone", "ast_00000000000000000000000000".to_owned(), json!({})),
             ("asset", "no id".to_owned(), json!({})),
@@ -165,7 +165,7 @@ async fn batches_give_the_same_results_and_refusals() {
             (ask(json!({"detail": 0.2, "outputs": ["rig_json"]}), &two, Some("batch")), ""),
             (ask(json!({"outputs": ["rig_json"], "detail": 0.2}), &two, Some("batch")), ""),
             (ask(json!({"detail": 0.3}), &two, Some("batch")), "idempotency_mismatch"),
-            (ask(json!({"detail": 9}), &two, None), "invalid_parameter"),
+            (ask(json!({"detail": 9.5}), &two, None), "invalid_parameter"),
             (ask(json!({}), &more, None), ""),
             (ask(json!({}), &vec![], None), "invalid_parameter"),
             (ask(json!({}), &vec![two[0].clone(); 1001], None), "invalid_parameter"),

@@ -208,6 +208,8 @@ fn options(members: &Value) -> RigOptions {
             "detail" => options.detail = value.as_f64(),
             "bandwidth" => options.bandwidth = value.as_f64(),
             "symmetry" => options.symmetry = text(),
+            "fingers" => options.fingers = text(),
+            "boxes" => options.boxes = text(),
             "max_influences" => options.max_influences = value.as_u64().map(|number| number as u32),
             "skin_fallback" => options.skin_fallback = names(value),
             "non_deforming" => options.non_deforming = names(value),

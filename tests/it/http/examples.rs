@@ -20,7 +20,10 @@ async fn told(service: &Service) -> (String, String) {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn every_example_of_the_description_answers_well() {
-    let mut service = Service::with(|settings, _| settings.workers = 4);
+    let mut service = Service::with(|settings, limits| {
+        settings.workers = 4;
+        limits.open_uploads_max = 100;
+    });
     let outgoing = Outgoing::new(Arc::new(SystemNames), &["127.0.0.1".to_owned()]).expect("a client");
     service.state = service.state.clone().with_outgoing(outgoing);
     service.router = app(service.state.clone());

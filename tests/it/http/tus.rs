@@ -35,6 +35,12 @@ async fn head(service: &Service, path: &str) -> Answer {
     service.send(request("HEAD", path, &[TUS], "")).await
 }
 
+/// Asserts that there is nothing to go on with, which HEAD tells by the status alone.
+async fn assert_gone(service: &Service, path: &str, status: u16) {
+    let gone = head(service, path).await;
+    assert_eq!((gone.status.as_u16(), gone.header("upload-offset")), (status, ""));
+}
+
 #[tokio::test]
 async fn parts_become_an_asset_that_can_be_rigged() {
     let service = Service::new();
@@ -97,7 +103,10 @@ async fn only_version_one_is_spoken() {
     for (method, path) in [("POST", "/v1/uploads"), ("PATCH", &path), ("DELETE", &path), ("HEAD", &path)] {
         for version in [&[][..], &[("tus-resumable", "0.2.2")]] {
             let refused = service.send(request(method, path, version, "")).await;
-            refused.refused(412, "unsupported_version");
+            if method != "HEAD" {
+                refused.refused(412, "unsupported_version");
+            }
+            assert_eq!(refused.status, 412);
             assert_eq!((refused.header("tus-version"), refused.header("tus-resumable")), ("1.0.0", "1.0.0"));
         }
     }
@@ -180,9 +189,10 @@ async fn an_upload_says_beforehand_what_it_is_and_not_too_much() {
     let wrong_type = [TUS, ("upload-offset", "0"), ("content-type", "model/obj")];
     let path = "/v1/uploads/upl_01jdf5fj5rfxm8s1m2q1d2zt8v";
     service.send(request("PATCH", path, &wrong_type, "ok")).await.refused(415, "unsupported_media_type");
-    for gone in [patch(&service, path, 0, &[], "ok").await, head(&service, &first).await, head(&service, path).await] {
-        assert_eq!(gone.header("upload-offset"), "");
-        gone.refused(404, "not_found");
+    patch(&service, path, 0, &[], "ok").await.refused(404, "not_found");
+    for path in [path, &first] {
+        assert_gone(&service, path, 404).await;
+        service.get(path).await.refused(404, "not_found");
     }
 }
 
@@ -192,9 +202,8 @@ async fn an_upload_that_nobody_goes_on_with_is_gone() {
     let path = begin(&service, 4).await;
     patch(&service, &path, 0, &[], "ok").await;
     service.keeps(0);
-    let gone = head(&service, &path).await;
-    assert_eq!(gone.header("upload-offset"), "");
-    for gone in [gone, patch(&service, &path, 2, &[], "xx").await, service.get(&path).await] {
+    assert_gone(&service, &path, 410).await;
+    for gone in [patch(&service, &path, 2, &[], "xx").await, service.get(&path).await] {
         gone.refused(410, "expired");
     }
 }
@@ -231,7 +240,7 @@ async fn callers_who_can_only_post_say_what_they_mean() {
     service.send(request("POST", &path, &[TUS], "")).await.refused(405, "method_not_allowed");
     let delete = [TUS, ("x-http-method-override", "DELETE")];
     assert_eq!(service.send(request("POST", &path, &delete, "")).await.status, 204);
-    head(&service, &path).await.refused(404, "not_found");
+    assert_gone(&service, &path, 404).await;
     service.keeps(0);
 }
 
