@@ -48,6 +48,7 @@ STEPS = [
     Step("stock tus client", [PYTHON, "tests/checks/stock_tus.py"], CHECK_SUMMARY, ["program"]),
     Step("webhooks", [PYTHON, "tests/checks/webhooks.py"], CHECK_SUMMARY, ["program"]),
     Step("rigging of the cases", [PYTHON, "tests/checks/rig_cases.py", OUTPUTS], CHECK_SUMMARY, ["program"]),
+    Step("skinning of parts", [PYTHON, "tests/checks/skin_cases.py", "target/checks/skin"], CHECK_SUMMARY, ["program"]),
     Step("glTF validator", ["node", "tests/checks/validate.mjs", OUTPUTS], CHECK_SUMMARY, ["program"]),
     Step("three.js", ["node", "tests/checks/threejs.mjs", OUTPUTS], CHECK_SUMMARY, ["program"]),
 ]

@@ -33,7 +33,7 @@ pub fn check(format: Format, bytes: &[u8]) {
     const MARK: &[u8] = b"\0SIBLING\0";
     let at = bytes.windows(MARK.len()).rposition(|window| window == MARK);
     let (main, rest) = at.map_or((bytes, bytes), |at| (&bytes[..at], &bytes[at + MARK.len()..]));
-    let options = DecodeOptions { existing_rig: ExistingRigPolicy::Replace, allow_missing_textures: true };
+    let options = DecodeOptions { existing_rig: ExistingRigPolicy::Replace, allow_missing_textures: true, old_rig: true };
     match decode_as(format, "upload", main, &Rest(rest), &LIMITS, &options) {
         Ok(asset) => check_asset(&asset),
         Err(error) => assert!(!error.code().is_empty() && !error.hint().is_empty() && !error.to_string().is_empty()),

@@ -212,8 +212,8 @@ fn summarise(outputs: &[PathBuf], outcome: &Outcome, watch: &Watch) {
     let seconds: f64 = watch.timings().iter().map(|timing| timing.duration.as_secs_f64()).sum();
     let names: Vec<String> = outputs.iter().map(|path| path.display().to_string()).collect();
     eprintln!("{} joints by {} in {seconds:.1} s: {}", outcome.joint_count(), outcome.method_used, names.join(", "));
-    if let Some((method, reason)) = outcome.skin_choice() {
-        eprintln!("skin by {method}: {reason}");
+    if let Some(reason) = outcome.skin_reason() {
+        eprintln!("skin: {reason}");
     }
     for finding in &outcome.findings {
         let hint = if finding.hint.is_empty() { String::new() } else { format!(" ({})", finding.hint) };

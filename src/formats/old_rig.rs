@@ -37,13 +37,21 @@ pub(super) fn skeleton_of(nodes: &[GraphNode]) -> Result<(Skeleton, Vec<usize>),
     if let [first, others @ ..] = roots.as_slice()
         && !others.is_empty()
     {
-        let is_above_all = |node: usize| others.iter().all(|&other| above(other).any(|above| above == node));
-        match above(*first).find(|&node| is_above_all(node)) {
+        // How many of the roots are below each node. Children come after their parents.
+        let mut below = vec![0; nodes.len()];
+        roots.iter().for_each(|&root| below[root] = 1);
+        for node in (0..nodes.len()).rev() {
+            if let Some(parent) = nodes[node].parent {
+                below[parent] += below[node];
+            }
+        }
+        match above(*first).find(|&node| below[node] == roots.len()) {
             Some(common) => joints.insert(0, common),
             None => {
+                let top = |node: usize| above(node).last().unwrap_or(node);
+                let apart = others.iter().copied().find(|&other| top(other) != top(*first)).unwrap_or(others[0]);
                 let name = |node: usize| nodes[node].name.to_owned();
-                let apart = others.iter().find(|&&other| !above(other).any(|node| above(*first).any(|it| it == node)));
-                return Err(RigFileError::Apart { first: name(*first), second: name(*apart.unwrap_or(&others[0])) });
+                return Err(RigFileError::Apart { first: name(*first), second: name(apart) });
             }
         }
     }

@@ -23,7 +23,7 @@
 //! - No distance is shorter than the straight one.
 //! - Only the part of the grid about the mesh is searched, with a margin of one cell to walk around it.
 
-use super::hollow_search::{NEVER, Search};
+use super::hollow_search::{Met, NEVER, Search};
 use super::surface_voxels::Lattice;
 use super::volumetric_geodesic::{Segment, bone_euclid, nearest_on_segment};
 use crate::mesh::Mesh;
@@ -38,18 +38,28 @@ pub(super) const WORD: usize = 64;
 
 /// HollowDist from every vertex of `mesh` to every bone, `[V, B]`; `resolution` cells along the longest side.
 pub fn hollow_distance(mesh: &Mesh, bones: &[Segment], resolution: usize) -> Vec<f32> {
-    let straight = bone_euclid(&mesh.positions, bones);
-    let Some(lattice) = Lattice::around(mesh, resolution.clamp(1, HOLLOW_RESOLUTION_MAX)) else { return straight };
+    let mut distances = bone_euclid(&mesh.positions, bones);
+    let Some(lattice) = Lattice::around(mesh, resolution.clamp(1, HOLLOW_RESOLUTION_MAX)) else { return distances };
     let field = Field::new(&lattice, mesh);
-    let words: Vec<Vec<f32>> = bones.par_chunks(WORD).map(|word| field.distances(word)).collect();
-    let mut distances = straight;
-    for (vertex, row) in distances.chunks_exact_mut(bones.len().max(1)).enumerate() {
-        for (own, word) in row.chunks_mut(WORD).zip(&words) {
-            let found = &word[vertex * own.len()..][..own.len()];
-            own.iter_mut().zip(found).for_each(|(own, &found)| *own = own.max(found));
-        }
+    // As many words at once as there are threads: what each has met is the greater part of the memory, beside the result.
+    let words_at_once = rayon::current_num_threads().max(1);
+    for (group, bones_of_group) in bones.chunks(WORD * words_at_once).enumerate() {
+        let words: Vec<Searched> = bones_of_group.par_chunks(WORD).map(|word| field.searched(word)).collect();
+        let first = group * WORD * words_at_once;
+        let rows = distances.par_chunks_exact_mut(bones.len()).enumerate();
+        rows.for_each(|(vertex, row)| field.lengthen(vertex, &words, &mut row[first..][..bones_of_group.len()]));
     }
     distances
+}
+
+/// When up to 64 bones met the cells around the vertices.
+struct Searched {
+    /// In cell coordinates.
+    bones: Vec<Segment>,
+    /// How far each bone is from the cells it began in.
+    offsets: Vec<f64>,
+    /// `[kept, bones]`
+    met: Vec<Met>,
 }
 
 /// The grid of one mesh, and where its vertices are in it.
@@ -92,35 +102,46 @@ impl<'a> Field<'a> {
         Self { lattice, is_mesh, steps, vertices, cell_of_vertex, kept, number, holds_vertex, holding_count }
     }
 
-    /// HollowDist to up to 64 bones. `[V, bones]`
-    fn distances(&self, bones: &[Segment]) -> Vec<f32> {
+    /// Searches from up to 64 bones.
+    fn searched(&self, bones: &[Segment]) -> Searched {
         let bones: Vec<Segment> =
             bones.iter().map(|&(start, end)| (self.lattice.to_cells(start), self.lattice.to_cells(end))).collect();
         let mut search = Search::new(self, bones.len());
         let offsets: Vec<f64> = bones.iter().enumerate().map(|(at, &bone)| search.begin(at, bone)).collect();
         search.run();
-        let met = search.when;
-        let way = |vertex: usize, bone: usize| {
-            let own = self.cell_of_vertex[vertex] as usize;
-            let place = self.vertices[vertex];
-            let here = met[own * bones.len() + bone];
-            if here.layer == 0 || here == NEVER {
-                return place.distance(nearest_on_segment(place, bones[bone]));
+        Searched { bones, offsets, met: search.when }
+    }
+
+    /// Makes the straight distances of a vertex to the bones of `words` as long as the ways that were found.
+    fn lengthen(&self, vertex: usize, words: &[Searched], distances: &mut [f32]) {
+        let (own, place) = (self.cell_of_vertex[vertex] as usize, self.vertices[vertex]);
+        let cell = self.kept[own] as usize;
+        // The cells before this one, and the last step from each: the same for every bone.
+        let before: [(usize, f64); 26] = self.steps.map(|step| {
+            let previous = cell.wrapping_add_signed(step);
+            (self.number[previous] as usize, place.distance(self.lattice.centre(previous)))
+        });
+        for (word, distances) in words.iter().zip(distances.chunks_mut(WORD)) {
+            let count = word.bones.len();
+            let here = &word.met[own * count..][..count];
+            let mut best = [f64::INFINITY; WORD];
+            for (number, step) in before {
+                let there = &word.met[number * count..][..count];
+                for ((best, here), there) in best.iter_mut().zip(here).zip(there) {
+                    let is_before = there.start <= here.start && there.layer < here.layer;
+                    let way = if is_before { f64::from(there.layer) + step } else { f64::INFINITY };
+                    *best = best.min(way);
+                }
             }
-            let cell = self.kept[own] as usize;
-            let before = self.steps.iter().filter_map(|&step| {
-                let previous = cell.wrapping_add_signed(step);
-                let there = met[self.number[previous] as usize * bones.len() + bone];
-                let is_before = there.start <= here.start && there.layer < here.layer;
-                is_before.then(|| f64::from(there.layer) + place.distance(self.lattice.centre(previous)))
-            });
-            offsets[bone] + before.fold(f64::INFINITY, f64::min)
-        };
-        let row = |vertex: usize| (0..bones.len()).map(move |bone| (vertex, bone));
-        (0..self.vertices.len())
-            .flat_map(row)
-            .map(|(vertex, bone)| (way(vertex, bone) * self.lattice.cell) as f32)
-            .collect()
+            for (bone, (distance, here)) in distances.iter_mut().zip(here).enumerate() {
+                let way = if here.layer == 0 || *here == NEVER {
+                    place.distance(nearest_on_segment(place, word.bones[bone]))
+                } else {
+                    word.offsets[bone] + best[bone]
+                };
+                *distance = distance.max((way * self.lattice.cell) as f32);
+            }
+        }
     }
 }
 

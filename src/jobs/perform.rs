@@ -96,10 +96,9 @@ impl Outcome {
         self.report.get("skeleton").and_then(|skeleton| skeleton.get("joints")?.as_u64()).unwrap_or(0)
     }
 
-    /// What weighed the vertices, and why that.
-    pub fn skin_choice(&self) -> Option<(&str, &str)> {
-        let skin = self.report.get("skin")?;
-        Some((skin.get("method")?.as_str()?, skin.get("reason")?.as_str()?))
+    /// What weighed the vertices, and why that: one sentence.
+    pub fn skin_reason(&self) -> Option<&str> {
+        self.report.get("skin")?.get("reason")?.as_str()
     }
 
     /// The report with what differs from run to run: the time that each stage took, in milliseconds.

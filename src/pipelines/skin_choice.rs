@@ -137,20 +137,4 @@ mod tests {
         assert!(choice.reason().contains("was allowed in its place"), "{}", choice.reason());
         assert!(choose(None, &[RigNet], &gone).is_err());
     }
-
-    /// The rows of `docs/models.md`, in its three parts: organic, box, all.
-    #[test]
-    fn the_figures_are_those_that_were_published() {
-        let text = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/docs/models.md")).expect("reads");
-        for method in SkinMethod::ALL {
-            let start = format!("| {} | 0.", method.name());
-            let skin_tables = text.split("#### Skin on the reference skeleton").skip(1);
-            let published: Vec<f64> = skin_tables
-                .filter_map(|table| table.lines().find(|line| line.starts_with(&start)))
-                .filter_map(|line| line.split(['|', '[']).nth(2)?.trim().parse().ok())
-                .collect();
-            let MeasuredL1 { organic, boxes, all } = method.measured();
-            assert_eq!(published, [organic, boxes, all], "{}", method.name());
-        }
-    }
 }

@@ -4,6 +4,7 @@
 use super::program::{rigsmith, sample, stderr, succeeded};
 use rigsmith::jobs::{Availability, Engine, RigOptions, Rigger, SkinMethod};
 use rigsmith::pipelines::LoadOptions;
+use rigsmith::pipelines::skin_choice::MeasuredL1;
 use serde_json::{Value, json};
 use std::path::Path;
 
@@ -89,4 +90,20 @@ fn the_program_says_which_method_it_took_and_why() {
     assert!(reason.starts_with("heter_skin_net has the least error") && reason.contains("geodesic_heat"), "{reason}");
     assert_eq!(report["skin"]["method"], json!("heter_skin_net"));
     assert!(stderr(&made).contains(reason), "{}", stderr(&made));
+}
+
+/// The rows of `docs/models.md`, in its three parts: organic, box, all.
+#[test]
+fn the_figures_are_those_that_were_published() {
+    let text = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/docs/models.md")).expect("reads");
+    for method in SkinMethod::ALL {
+        let start = format!("| {} | 0.", method.name());
+        let skin_tables = text.split("#### Skin on the reference skeleton").skip(1);
+        let published: Vec<f64> = skin_tables
+            .filter_map(|table| table.lines().find(|line| line.starts_with(&start)))
+            .filter_map(|line| line.split(['|', '[']).nth(2)?.trim().parse().ok())
+            .collect();
+        let MeasuredL1 { organic, boxes, all } = method.measured();
+        assert_eq!(published, [organic, boxes, all], "{}", method.name());
+    }
 }

@@ -3,6 +3,7 @@
 //! It is evaluated in the pose that the nodes' rest transforms give, not in the pose of the inverse bind matrices: that
 //! is what every viewer shows when the file is opened, so the mesh does not jump when its old skin goes.
 
+use super::accessors::Reader;
 use super::bake::{Edit, Frame};
 use super::buffers::items_mut_if_any;
 use super::json::{index, items, malformed, member_reference, out_of_range, reference, remove};
@@ -94,7 +95,7 @@ pub(super) fn frames(
                 frames.push(if key.is_empty() {
                     Frame::One(world)
                 } else {
-                    blended(edit, matrices, primitive, &place)?
+                    blended(edit, matrices, primitive, &key, &place)?
                 });
                 known.insert(key, frames.len() - 1);
                 frames.len() - 1
@@ -142,19 +143,17 @@ fn influence_accessors(json: &Value, primitive: &Value, place: &str) -> Result<V
     Ok(found)
 }
 
-/// Joints (as the skin lists them) and weights of each vertex of a primitive.
+/// Sets of four that are kept of a file's weights: eight joints per vertex are the most that is written, too.
+const SETS_KEPT: usize = 2;
+
+/// Joints (as the skin lists them) and weights of each vertex of a primitive, eight at most.
 pub(super) fn influences(edit: &Edit, primitive: &Value, place: &str) -> Result<Vec<Vec<(u32, f32)>>, DecodeError> {
     let reader = edit.reader();
     let position = primitive["attributes"].get("POSITION").and_then(index);
     let count = reader.accessor(position.ok_or_else(|| malformed(place, "no POSITION"))?)?.count;
     let mut rows = vec![Vec::new(); count];
-    for pair in influence_accessors(edit.json, primitive, place)?.chunks_exact(2) {
-        let joints = reader.accessor(pair[0])?;
-        let weights = reader.vectors::<4>(pair[1])?;
-        if joints.width != 4 || joints.count != count || weights.len() != count {
-            return Err(malformed(place, "JOINTS and WEIGHTS are not four per vertex"));
-        }
-        let joints = reader.wholes(&joints)?;
+    for pair in influence_accessors(edit.json, primitive, place)?.chunks_exact(2).take(SETS_KEPT) {
+        let (joints, weights) = joints_and_weights(&reader, pair, count, place)?;
         for ((row, joints), weights) in rows.iter_mut().zip(joints.as_chunks::<4>().0).zip(&weights) {
             let used = joints.iter().copied().zip(weights.iter().copied()).filter(|(_, weight)| *weight > 0.0);
             row.extend(used);
@@ -163,18 +162,41 @@ pub(super) fn influences(edit: &Edit, primitive: &Value, place: &str) -> Result<
     Ok(rows)
 }
 
+/// One set: four joints and four weights for each of `count` vertices.
+fn joints_and_weights(
+    reader: &Reader,
+    pair: &[usize],
+    count: usize,
+    place: &str,
+) -> Result<(Vec<u32>, Vec<[f32; 4]>), DecodeError> {
+    let (joints, weights) = (reader.accessor(pair[0])?, reader.vectors::<4>(pair[1])?);
+    if joints.width != 4 || joints.count != count || weights.len() != count {
+        return Err(malformed(place, "JOINTS and WEIGHTS are not four per vertex"));
+    }
+    Ok((reader.wholes(&joints)?, weights))
+}
+
 /// Linear blend of the joint matrices per vertex.
-fn blended(edit: &Edit, matrices: &[DMat4], primitive: &Value, place: &str) -> Result<Frame, DecodeError> {
+fn blended(
+    edit: &Edit,
+    matrices: &[DMat4],
+    primitive: &Value,
+    influences: &[usize],
+    place: &str,
+) -> Result<Frame, DecodeError> {
     let reader = edit.reader();
     let position = primitive["attributes"].get("POSITION").and_then(index);
     let positions = reader.vectors::<3>(position.ok_or_else(|| malformed(place, "no POSITION"))?)?;
     let mut sums = vec![(DMat4::ZERO, 0.0); positions.len()];
-    for (sum, row) in sums.iter_mut().zip(influences(edit, primitive, place)?) {
-        for (joint, weight) in row {
-            let matrix = matrices.get(joint as usize);
-            let matrix = matrix.ok_or_else(|| out_of_range(place, "joint", i64::from(joint), matrices.len()))?;
-            sum.0 += *matrix * f64::from(weight);
-            sum.1 += f64::from(weight);
+    for pair in influences.chunks_exact(2) {
+        let (joints, weights) = joints_and_weights(&reader, pair, positions.len(), place)?;
+        for ((sum, joints), weights) in sums.iter_mut().zip(joints.as_chunks::<4>().0).zip(&weights) {
+            for (&joint, &weight) in joints.iter().zip(weights).filter(|(_, weight)| **weight > 0.0) {
+                let matrix = matrices.get(joint as usize);
+                let matrix = matrix.ok_or_else(|| out_of_range(place, "joint", i64::from(joint), matrices.len()))?;
+                sum.0 += *matrix * f64::from(weight);
+                sum.1 += f64::from(weight);
+            }
         }
     }
     // A vertex without weights follows the first joint, as viewers do.

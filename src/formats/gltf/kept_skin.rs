@@ -14,6 +14,7 @@ use crate::formats::{DecodeError, Limits};
 use crate::rig::{Influence, SkinWeights};
 use glam::DMat4;
 use serde_json::{Map, Value, json};
+use std::collections::BTreeSet;
 
 /// The joints of a document that keeps them.
 #[derive(Clone, Debug)]
@@ -41,13 +42,9 @@ pub(super) fn read(
             return Err(RigFileError::Scale { name: joint.name.clone(), problem }.into());
         }
     }
-    let mut nodes: Vec<usize> = Vec::new();
+    let (mut nodes, mut listed) = (Vec::new(), BTreeSet::new());
     for &skin in &old.skins {
-        for node in existing_rig::joints_of(edit.json, skin)? {
-            if !nodes.contains(&node) {
-                nodes.push(node);
-            }
-        }
+        nodes.extend(existing_rig::joints_of(edit.json, skin)?.into_iter().filter(|&node| listed.insert(node)));
     }
     let place = |node: &usize| nodes.iter().position(|other| other == node).map(|place| place as u32);
     let places: Vec<Option<u32>> = joint_nodes.iter().map(place).collect();
