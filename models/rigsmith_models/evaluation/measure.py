@@ -17,7 +17,7 @@ from .posing import posed_distances
 from .program import Program, Refused, Rigged
 
 MULTIPLIERS = {"": 1.0, "_half": 0.5, "_wide": 1.5}  # of the tolerance, by suffix of the figure's name
-SKIN_METHODS = ("heter_skin_net", "rignet", "geodesic_heat", "geodesic_voxel")  # the default first
+SKIN_METHODS = ("auto", "heter_skin_net", "rignet", "geodesic_heat", "geodesic_voxel")  # the default first
 
 
 @dataclass

@@ -13,7 +13,7 @@ SYSTEMS = {
     "joints": ("rigsmith", "nearest_rig", "medial_points"),
     "tree": ("rigsmith", "shortest_tree"),
     "root": ("rigsmith", "central_joint"),
-    "skin": ("heter_skin_net", "rignet", "geodesic_heat", "geodesic_voxel", "blender_heat", "inverse_distance", "closest_bone"),
+    "skin": ("auto", "heter_skin_net", "rignet", "geodesic_heat", "geodesic_voxel", "blender_heat", "inverse_distance", "closest_bone"),
 }
 FIGURES = {
     "joints": (
