@@ -12,6 +12,7 @@ use crate::nets::rignet::{JointPairs, RigNets, ShapeGraph};
 use crate::rig::deforming::Deforming;
 use crate::rig::detect_joints::{DetectedJoints, Evidence, detect_joints};
 use crate::rig::hands::with_fingers;
+use crate::rig::joined_ends::joined_ends;
 use crate::rig::spanning_tree::{BoneCosts, OutsideRule, Tree, minimum_spanning_tree, symmetric_spanning_tree};
 use crate::rig::{Rig, Skeleton};
 use glam::DVec3;
@@ -44,7 +45,15 @@ pub(super) fn rig(
             watch.enter(Stage::Joints)?;
             let detected = find_joints(&shape, &graph, nets, plane.as_ref(), options, watch)?;
             watch.enter(Stage::Connect)?;
-            let connected = connect(&shape, &graph, nets, &detected, watch)?;
+            let tree = connect(&shape, &graph, nets, &detected, watch)?;
+            let (detected, tree) = match joined_ends(&detected, &tree, &shape.solid) {
+                Some(joined) => {
+                    let tree = connect(&shape, &graph, nets, &joined, watch)?;
+                    (joined, tree)
+                }
+                None => (detected, tree),
+            };
+            let (connected, _) = Skeleton::from_tree(&detected.positions, &tree);
             let (skeleton, fingers) = with_fingers(connected, options.fingers);
             (skeleton, fingers, Some(graph), Some(detected.bandwidth))
         }
@@ -127,7 +136,7 @@ fn connect(
     nets: &RigNets,
     detected: &DetectedJoints,
     watch: Watch,
-) -> Result<Skeleton, RigError> {
+) -> Result<Tree, RigError> {
     let joints = &detected.positions;
     let (pairs, segments) = shape.bone_pairs(joints);
     let described = JointPairs {
@@ -144,11 +153,10 @@ fn connect(
     let outside: Vec<usize> = segments.iter().map(|segment| segment.outside_count).collect();
     let mut costs = BoneCosts::from_probabilities(joints.len(), &pairs, &probability);
     costs.correct(&pairs, &outside, detected.sides.as_deref(), OutsideRule::Add);
-    let tree: Tree = match &detected.sides {
+    Ok(match &detected.sides {
         Some(sides) => symmetric_spanning_tree(&costs, joints, sides, root),
         None => minimum_spanning_tree(&costs, root),
-    };
-    Ok(Skeleton::from_tree(joints, &tree).0)
+    })
 }
 
 fn points(array: ArrayView2<f32>) -> Vec<DVec3> {

@@ -2,7 +2,7 @@
 //!
 //! | step                                  | file                                                              |
 //! |---------------------------------------|-------------------------------------------------------------------|
-//! | displaced points → joints             | [`detect_joints`], made of [`joint_clustering`], [`non_maximum_suppression`], [`symmetrize`] |
+//! | displaced points → joints             | [`detect_joints`], made of [`joint_clustering`], [`non_maximum_suppression`], [`symmetrize`]; [`joined_ends`] |
 //! | joints → tree → skeleton, bones       | [`spanning_tree`], [`skeleton`], [`deforming`]                    |
 //! | skeleton without stray joints in hands | [`hands`]                                                        |
 //! | boxes → skeleton, weights             | [`box_skeleton`], for characters made of them                     |
@@ -23,6 +23,7 @@ pub mod forward_kinematics;
 pub mod hands;
 pub mod heat_weights;
 pub mod heter_graph;
+pub mod joined_ends;
 pub mod joint_clustering;
 mod joint_levels;
 pub mod linear_blend_skinning;
