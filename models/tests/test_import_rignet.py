@@ -209,10 +209,15 @@ def test_the_entry_describes_the_file(imported, name):
 
 
 @every_network
-def test_the_interface_is_ours_but_for_medial_offsets(imported, name):
+def test_the_interface_is_one_that_the_service_serves(imported, name):
+    """The service gives each network those of its inputs that it has: the published ones read neighbours where ours for bone and root
+    read pairs of joints alone, and no medial offsets."""
     ours = json.loads((import_rignet.ARTIFACTS / "manifest.json").read_text())["networks"][name]
     entry = manifest_of(imported)["networks"][name]
-    assert entry["inputs"] == [i for i in ours["inputs"] if i["name"] != "medial_offsets"] and entry["outputs"] == ours["outputs"]
+    shape = ["positions", "one_ring", "geodesic_ball"]
+    served = {"bone": [*shape, "joints", "pairs", "pair_features"], "root": [*shape, "joints"],
+              "skin": [*shape, "bone_features", "bone_mask"]}.get(name.removeprefix("rignet_"), shape)
+    assert entry["inputs"] == artifact.described(served) and entry["outputs"] == ours["outputs"]
 
 
 @every_network

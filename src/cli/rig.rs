@@ -40,7 +40,7 @@ pub struct OptionArguments {
     /// RigNet's mean-shift bandwidth instead of --detail; larger means fewer joints.
     #[arg(long, value_name = "H")]
     bandwidth: Option<String>,
-    /// Fingers: auto keeps hands that have at least three, on keeps all joints that are found in hands, off none.
+    /// Fingers: auto folds hands with two ends into the wrist, on keeps all joints that are found in hands, off none.
     #[arg(long, value_name = "auto|on|off")]
     fingers: Option<String>,
     #[command(flatten)]

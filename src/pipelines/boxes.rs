@@ -4,6 +4,7 @@ use super::LevelOfDetail;
 use super::prepared::Prepared;
 use crate::geometry::box_parts::{BoxParts, box_parts};
 use crate::geometry::bvh::Bvh;
+use crate::geometry::symmetry_plane::SymmetryPlane;
 use crate::rig::SkinWeights;
 use crate::rig::box_skeleton::{BoxSkeleton, box_skeleton, joints_by_weight, rigid_weights};
 
@@ -28,12 +29,19 @@ impl Boxes {
         self.parts.parts.len()
     }
 
-    /// `None` for a bandwidth, which asks for RigNet's own joints, and where nothing moves by itself.
-    pub(super) fn skeleton(&self, level_of_detail: LevelOfDetail) -> Option<BoxSkeleton> {
-        match level_of_detail {
-            LevelOfDetail::Detail(detail) => box_skeleton(&self.parts.parts, SMALL_MAX * (1.0 - detail)),
-            LevelOfDetail::Bandwidth(_) => None,
-        }
+    /// `None` for a bandwidth, which asks for RigNet's own joints, and where nothing moves by itself. Sides are made alike about
+    /// `plane`, where there is one.
+    pub(super) fn skeleton(
+        &self,
+        level_of_detail: LevelOfDetail,
+        plane: Option<&SymmetryPlane>,
+    ) -> Option<BoxSkeleton> {
+        let LevelOfDetail::Detail(detail) = level_of_detail else { return None };
+        let made = box_skeleton(&self.parts.parts, SMALL_MAX * (1.0 - detail))?;
+        Some(match plane {
+            Some(plane) => made.mirrored(plane),
+            None => made,
+        })
     }
 
     /// For every box the joint that `weights` of the upload's vertices give most of it to.

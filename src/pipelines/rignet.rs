@@ -36,7 +36,8 @@ pub(super) fn rig(
     let shape = Shape::new(subject.working.mesh.clone());
     let plane = shape.mirror_plane(options.symmetry);
     let boxes = options.boxes.then(|| Boxes::of(&subject)).flatten();
-    let of_boxes = boxes.as_ref().and_then(|boxes| Some((boxes, boxes.skeleton(options.level_of_detail)?)));
+    let of_boxes =
+        boxes.as_ref().and_then(|boxes| Some((boxes, boxes.skeleton(options.level_of_detail, plane.as_ref())?)));
 
     let (skeleton, fingers, graph, bandwidth) = match &of_boxes {
         Some((_, made)) => (made.skeleton.clone(), 0, None, None),

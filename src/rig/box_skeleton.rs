@@ -14,6 +14,7 @@
 use super::spanning_tree::Tree;
 use super::{Influence, Skeleton, SkinWeights};
 use crate::geometry::box_parts::BoxPart;
+use crate::geometry::symmetry_plane::SymmetryPlane;
 use glam::DVec3;
 
 /// Samples along each side of a box, both ends among them.
@@ -24,6 +25,9 @@ const TOUCHING: f64 = 0.02;
 const ENCLOSED: f64 = 0.6;
 /// Samples within this of the nearest ones are where two bodies meet.
 const CONTACT_DEPTH: f64 = 0.01;
+
+/// A joint nearer than this to another's mirror image is its counterpart, in longest sides.
+const COUNTERPART: f64 = 0.05;
 
 /// The skeleton of a character made of boxes.
 #[derive(Clone, Debug, PartialEq)]
@@ -58,6 +62,29 @@ pub fn box_skeleton(parts: &[BoxPart], small: f64) -> Option<BoxSkeleton> {
         joint.unwrap_or(0) as u32
     });
     Some(BoxSkeleton { skeleton, joint_of_part: joint_of_part.collect() })
+}
+
+impl BoxSkeleton {
+    /// The same with joints and their mirror images made alike: each moves to the middle between itself and the image of its
+    /// counterpart, one in the middle onto the plane. Joints without a counterpart stay.
+    pub fn mirrored(mut self, plane: &SymmetryPlane) -> Self {
+        let positions = self.skeleton.positions();
+        let images: Vec<DVec3> = positions.iter().map(|&position| plane.reflect(position)).collect();
+        let counterpart = |joint: usize| {
+            let distance = |&other: &usize| images[joint].distance(positions[other]);
+            (0..positions.len())
+                .min_by(|a, b| distance(a).total_cmp(&distance(b)))
+                .filter(|other| distance(other) < COUNTERPART)
+        };
+        let counterparts: Vec<Option<usize>> = (0..positions.len()).map(counterpart).collect();
+        for (joint, other) in counterparts.iter().enumerate() {
+            let Some(other) = *other else { continue };
+            if counterparts[other] == Some(joint) {
+                self.skeleton.joints[joint].position = positions[joint].midpoint(images[other]);
+            }
+        }
+        self
+    }
 }
 
 /// Weights of vertices that move with one box each.
@@ -226,6 +253,21 @@ mod tests {
         assert!(joint_of(2).distance(DVec3::new(0.15, 0.65, 0.0)) < 0.03);
         assert!((joint_of(2) + joint_of(3)).x.abs() < 1e-9, "mirrored boxes have mirrored joints");
         assert_eq!(made.joint_of_part[4], made.joint_of_part[1], "the ear is part of the head");
+    }
+
+    #[test]
+    fn joints_that_are_nearly_mirrored_are_made_alike_and_others_stay() {
+        let mut parts = figure();
+        parts[2].centre.y += 0.02;
+        parts.push(part([0.2, 0.2, 0.0], [0.05, 0.2, 0.05]));
+        let plane = SymmetryPlane { normal: DVec3::X, offset: 0.0, score: 1.0 };
+        let rough = box_skeleton(&parts, 0.05).expect("a skeleton");
+        let made = rough.clone().mirrored(&plane);
+        let joint = |made: &BoxSkeleton, part: usize| made.skeleton.joints[made.joint_of_part[part] as usize].position;
+        assert_ne!(plane.reflect(joint(&rough, 2)), joint(&rough, 3));
+        assert!(plane.reflect(joint(&made, 2)).distance(joint(&made, 3)) < 1e-12);
+        assert_eq!(joint(&made, 0).x, 0.0);
+        assert_eq!(joint(&made, 5), joint(&rough, 5), "one leg alone");
     }
 
     #[test]

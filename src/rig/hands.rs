@@ -6,7 +6,7 @@
 //!
 //! A hand is a joint away from the middle, with another such joint before it (the elbow), whose following joints are all nearer
 //! together than it is to the elbow, on its side, and above the feet. The rule is ours. The networks find few fingers (recall on
-//! validation rigs about a tenth): one or two joints in a hand are no fingers but a nuisance to whoever animates it.
+//! validation rigs about a tenth): two ends in a hand are no fingers but a nuisance to whoever animates it.
 
 use super::Skeleton;
 use glam::DVec3;
@@ -19,13 +19,13 @@ const HEIGHT_MIN: f64 = 0.1;
 const FOREARM_MIN: f64 = 1.3;
 /// and the hand reaches no farther than this many forearms.
 const REACH_MAX: f64 = 1.2;
-/// With fewer ends than this, what follows the wrist is not taken for fingers.
-pub const FINGERS_MIN: usize = 3;
+/// One end is the hand itself, three or more are fingers; so many are neither.
+const STRAY_ENDS: usize = 2;
 
 /// Which fingers stay.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Fingers {
-    /// Those of hands with at least [`FINGERS_MIN`] of them.
+    /// All but those of hands with two ends.
     #[default]
     Auto,
     /// All that are found.
@@ -62,7 +62,7 @@ pub fn hands(skeleton: &Skeleton) -> Vec<Hand> {
 /// The skeleton without the fingers that are not wanted, and how many fingers it has left.
 pub fn with_fingers(skeleton: Skeleton, fingers: Fingers) -> (Skeleton, usize) {
     let is_kept = |hand: &Hand| match fingers {
-        Fingers::Auto => hand.fingers >= FINGERS_MIN,
+        Fingers::Auto => hand.fingers != STRAY_ENDS,
         Fingers::On => true,
         Fingers::Off => false,
     };
@@ -139,8 +139,9 @@ mod tests {
     }
 
     #[test]
-    fn one_or_two_joints_are_folded_into_the_wrist_and_a_whole_hand_stays() {
+    fn two_ends_are_folded_into_the_wrist_and_a_whole_hand_stays() {
         for (given, wanted, left) in [
+            (1, Fingers::Auto, 2),
             (2, Fingers::Auto, 0),
             (5, Fingers::Auto, 10),
             (2, Fingers::On, 4),

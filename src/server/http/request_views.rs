@@ -33,7 +33,7 @@ pub struct OptionsView {
     #[param(required = false, value_type = SymmetryName)]
     #[schema(example = "auto", required = false, value_type = SymmetryName)]
     pub symmetry: &'static str,
-    /// Which fingers stay: `auto` (unless given) those of hands with at least three, `on` all that are found, `off` none.
+    /// Which fingers stay: `auto` (unless given) all but those of hands with two ends, `on` all that are found, `off` none.
     #[param(required = false, value_type = FingersName)]
     #[schema(example = "auto", required = false, value_type = FingersName)]
     pub fingers: &'static str,
