@@ -13,6 +13,7 @@ use crate::rig::deforming::Deforming;
 use crate::rig::detect_joints::{DetectedJoints, Evidence, detect_joints};
 use crate::rig::hands::with_fingers;
 use crate::rig::joined_ends::joined_ends;
+use crate::rig::limb_starts::with_limb_starts;
 use crate::rig::spanning_tree::{BoneCosts, OutsideRule, Tree, minimum_spanning_tree, symmetric_spanning_tree};
 use crate::rig::{Rig, Skeleton};
 use glam::DVec3;
@@ -55,7 +56,10 @@ pub(super) fn rig(
                 None => (detected, tree),
             };
             let (connected, _) = Skeleton::from_tree(&detected.positions, &tree);
-            let (skeleton, fingers) = with_fingers(connected, options.fingers);
+            let (mut skeleton, fingers) = with_fingers(connected, options.fingers);
+            if plane.is_some() {
+                skeleton = with_limb_starts(skeleton, |point| shape.solid.contains(point));
+            }
             (skeleton, fingers, Some(graph), Some(detected.bandwidth))
         }
     };

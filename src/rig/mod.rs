@@ -4,7 +4,7 @@
 //! |---------------------------------------|-------------------------------------------------------------------|
 //! | displaced points → joints             | [`detect_joints`], made of [`joint_clustering`], [`non_maximum_suppression`], [`symmetrize`]; [`joined_ends`] |
 //! | joints → tree → skeleton, bones       | [`spanning_tree`], [`skeleton`], [`deforming`]                    |
-//! | skeleton without stray joints in hands | [`hands`]                                                        |
+//! | skeleton → one to animate             | [`hands`], [`limb_starts`]                                        |
 //! | boxes → skeleton, weights             | [`box_skeleton`], for characters made of them                     |
 //! | bone distances → what the networks read | [`bone_features`], [`heter_graph`]                             |
 //! | logits or distances → weights         | [`bone_weights`], [`distance_falloff`], [`heat_weights`], [`skin_weights`], [`mirror_weights`], [`locked_weights`] |
@@ -26,6 +26,7 @@ pub mod heter_graph;
 pub mod joined_ends;
 pub mod joint_clustering;
 mod joint_levels;
+pub mod limb_starts;
 pub mod linear_blend_skinning;
 pub mod locked_weights;
 pub mod mirror_weights;
