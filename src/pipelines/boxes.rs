@@ -44,9 +44,12 @@ impl Boxes {
         })
     }
 
-    /// For every box the joint that `weights` of the upload's vertices give most of it to.
-    pub(super) fn joints_by_weight(&self, weights: &SkinWeights, joint_count: usize) -> Vec<u32> {
-        joints_by_weight(&self.parts.part_of_vertex, self.count(), weights, joint_count)
+    /// For every box the joint that most of it belongs to, by the weights of the working mesh, which covers it evenly; by those of
+    /// the upload's vertices where nothing is left of the box in the working mesh.
+    pub(super) fn joints_by_weight(&self, working: &SkinWeights, upload: &SkinWeights) -> Vec<u32> {
+        let evenly = joints_by_weight(&self.part_of_working, self.count(), working);
+        let by_corners = joints_by_weight(&self.parts.part_of_vertex, self.count(), upload);
+        evenly.into_iter().zip(by_corners).map(|(joint, corner)| joint.or(corner).unwrap_or(0)).collect()
     }
 
     /// Weights of the upload's vertices, each box moving with one joint.

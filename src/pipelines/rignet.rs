@@ -5,7 +5,7 @@ use super::boxes::Boxes;
 use super::prepared::Prepared;
 use super::shape::{Shape, points_f32};
 use super::skin::{SkinNets, judged, weigh};
-use super::transfer::transferred;
+use super::transfer::{finished, transferred};
 use super::{Facts, RigError, RigOptions, Rigged, Stage, Subject, Symmetry, Watch};
 use crate::geometry::symmetry_plane::SymmetryPlane;
 use crate::nets::rignet::{JointPairs, RigNets, ShapeGraph};
@@ -40,29 +40,11 @@ pub(super) fn rig(
     let of_boxes =
         boxes.as_ref().and_then(|boxes| Some((boxes, boxes.skeleton(options.level_of_detail, plane.as_ref())?)));
 
-    let (skeleton, fingers, graph, bandwidth) = match &of_boxes {
-        Some((_, made)) => (made.skeleton.clone(), 0, None, None),
-        None => {
-            let graph = shape.graph(options.seed);
-            watch.enter(Stage::Joints)?;
-            let detected = find_joints(&shape, &graph, nets, plane.as_ref(), options, watch)?;
-            watch.enter(Stage::Connect)?;
-            let tree = connect(&shape, &graph, nets, &detected, watch)?;
-            let (detected, tree) = match joined_ends(&detected, &tree, &shape.solid) {
-                Some(joined) => {
-                    let tree = connect(&shape, &graph, nets, &joined, watch)?;
-                    (joined, tree)
-                }
-                None => (detected, tree),
-            };
-            let (connected, _) = Skeleton::from_tree(&detected.positions, &tree);
-            let (mut skeleton, fingers) = with_fingers(connected, options.fingers);
-            if plane.is_some() {
-                skeleton = with_limb_starts(skeleton, |point| shape.solid.contains(point));
-            }
-            (skeleton, fingers, Some(graph), Some(detected.bandwidth))
-        }
+    let predicted = match &of_boxes {
+        Some((_, made)) => Predicted { skeleton: made.skeleton.clone(), fingers: 0, graph: None, bandwidth: None },
+        None => predicted(&shape, nets, plane.as_ref(), options, watch)?,
     };
+    let Predicted { skeleton, fingers, graph, bandwidth } = predicted;
 
     watch.enter(Stage::Skin)?;
     let rigid = of_boxes.as_ref().filter(|_| options.rigid_boxes);
@@ -73,8 +55,12 @@ pub(super) fn rig(
     let quality = judged(&shape, &skeleton, &skin, plane.as_ref());
 
     watch.enter(Stage::Transfer)?;
-    let transferred = transferred(&subject, &shape, &skeleton, &skin, rigid.map(|(boxes, _)| *boxes), None, options)?;
+    let on_upload = match rigid {
+        Some((boxes, made)) => boxes.weights(&made.joint_of_part),
+        None => transferred(&subject, &skin, options),
+    };
     let is_rigid = rigid.is_some();
+    let finished = finished(&subject, &shape, &skeleton, on_upload, None, options)?;
     let to_upload = |point: DVec3| subject.normalization.invert(point);
     let facts = Facts {
         working_vertices: shape.mesh.positions.len(),
@@ -88,10 +74,45 @@ pub(super) fn rig(
         joints_inside: quality.joints_inside,
         joints_far_outside: Vec::new(),
         vertices_by_nearest_bone,
-        vertices_mirrored: transferred.mirrored,
+        vertices_mirrored: finished.mirrored,
         quality,
     };
-    Ok(Rigged { rig: Rig { skeleton: skeleton.mapped(to_upload), skin: transferred.skin }, facts })
+    Ok(Rigged { rig: Rig { skeleton: skeleton.mapped(to_upload), skin: finished.skin }, facts })
+}
+
+/// A skeleton in the normalised frame, and what was found on the way to it.
+struct Predicted {
+    skeleton: Skeleton,
+    fingers: usize,
+    /// Made for the networks, if they were asked.
+    graph: Option<ShapeGraph>,
+    bandwidth: Option<f64>,
+}
+
+/// Joints and their tree by the networks, then what an animator would change at once.
+fn predicted(
+    shape: &Shape,
+    nets: &RigNets,
+    plane: Option<&SymmetryPlane>,
+    options: &RigOptions,
+    watch: Watch,
+) -> Result<Predicted, RigError> {
+    let graph = shape.graph(options.seed);
+    watch.enter(Stage::Joints)?;
+    let mut detected = find_joints(shape, &graph, nets, plane, options, watch)?;
+    watch.enter(Stage::Connect)?;
+    let mut tree = connect(shape, &graph, nets, &detected, watch)?;
+    if let Some(joined) = joined_ends(&detected, &tree, &shape.solid) {
+        tree = connect(shape, &graph, nets, &joined, watch)?;
+        detected = joined;
+    }
+    let (connected, _) = Skeleton::from_tree(&detected.positions, &tree);
+    let from_middle = |point: DVec3| plane.map_or(point.x, |plane| plane.signed_distance(point));
+    let (mut skeleton, fingers) = with_fingers(connected, options.fingers, from_middle);
+    if let Some(plane) = plane {
+        skeleton = with_limb_starts(skeleton, plane, |point| shape.solid.contains(point));
+    }
+    Ok(Predicted { skeleton, fingers, graph: Some(graph), bandwidth: Some(detected.bandwidth) })
 }
 
 /// Displacement and attention networks, then clustering (Section 4.1).

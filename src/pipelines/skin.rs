@@ -13,7 +13,7 @@ use super::boxes::Boxes;
 use super::heter_skin::WeighedBones;
 use super::prepared::{Prepared, SYMMETRIC_FROM};
 use super::shape::Shape;
-use super::transfer::transferred;
+use super::transfer::{finished, transferred};
 use super::{Facts, Given, RigError, RigOptions, Rigged, SkinMethod, Stage, Subject, Symmetry, Watch};
 use crate::geometry::symmetry_plane::SymmetryPlane;
 use crate::geometry::volumetric_geodesic::Segment;
@@ -57,13 +57,16 @@ pub(super) fn skin(
 
     watch.enter(Stage::Skin)?;
     let (skin, vertices_by_nearest_bone) = weigh(&shape, None, &joints, nets, options, watch)?;
-    let skin = joints.in_whole(skin);
+    let mut skin = joints.in_whole(skin);
 
     watch.enter(Stage::Transfer)?;
     let boxes = options.rigid_boxes.then(|| Boxes::of(&subject)).flatten();
-    let transferred = transferred(&subject, &shape, &normalised, &skin, boxes.as_ref(), given.locks.as_ref(), options)?;
-    let rigid = boxes.as_ref().zip(transferred.joint_of_box.as_deref());
-    let skin = rigid.map_or(skin, |(boxes, joint_of_box)| boxes.working_weights(joint_of_box));
+    let mut on_upload = transferred(&subject, &skin, options);
+    if let Some(boxes) = &boxes {
+        let joint_of_box = boxes.joints_by_weight(&skin, &on_upload);
+        (on_upload, skin) = (boxes.weights(&joint_of_box), boxes.working_weights(&joint_of_box));
+    }
+    let finished = finished(&subject, &shape, &normalised, on_upload, given.locks.as_ref(), options)?;
     let plane = (shape.symmetry.score >= SYMMETRIC_FROM).then_some(&shape.symmetry);
     let quality = judged(&shape, &normalised, &skin, plane);
     let facts = Facts {
@@ -78,10 +81,10 @@ pub(super) fn skin(
         joints_inside: quality.joints_inside,
         joints_far_outside: far_outside(&shape, &normalised),
         vertices_by_nearest_bone,
-        vertices_mirrored: transferred.mirrored,
+        vertices_mirrored: finished.mirrored,
         quality,
     };
-    Ok(Rigged { rig: Rig { skeleton: given.skeleton.clone(), skin: transferred.skin }, facts })
+    Ok(Rigged { rig: Rig { skeleton: given.skeleton.clone(), skin: finished.skin }, facts })
 }
 
 /// What can be said of the rig of the working mesh.

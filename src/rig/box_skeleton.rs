@@ -16,6 +16,7 @@ use super::{Influence, Skeleton, SkinWeights};
 use crate::geometry::box_parts::BoxPart;
 use crate::geometry::symmetry_plane::SymmetryPlane;
 use glam::DVec3;
+use std::collections::BTreeMap;
 
 /// Samples along each side of a box, both ends among them.
 const SAMPLES: usize = 7;
@@ -93,18 +94,19 @@ pub fn rigid_weights(part_of_vertex: &[u32], joint_of_part: &[u32]) -> SkinWeigh
     SkinWeights { rows: part_of_vertex.iter().map(row).collect() }
 }
 
-/// For every box the joint that most of its vertices' weights belong to; ties go to the lower joint.
+/// For every box the joint that most of its weights belong to; ties go to the lower joint.
 ///
-/// `part_of_vertex` `[V]`, `skin` `[V]`.
-pub fn joints_by_weight(part_of_vertex: &[u32], part_count: usize, skin: &SkinWeights, joint_count: usize) -> Vec<u32> {
-    let mut sums = vec![vec![0.0f64; joint_count]; part_count];
+/// `part_of_vertex` `[V]` and `skin` `[V]` are of a mesh whose vertices cover the boxes evenly: the corners of a leg say as much of its
+/// foot as of its whole length.
+pub fn joints_by_weight(part_of_vertex: &[u32], part_count: usize, skin: &SkinWeights) -> Vec<Option<u32>> {
+    let mut sums: Vec<BTreeMap<u32, f64>> = vec![BTreeMap::new(); part_count];
     for (row, &part) in skin.rows.iter().zip(part_of_vertex) {
         for influence in row {
-            sums[part as usize][influence.joint as usize] += f64::from(influence.weight);
+            *sums[part as usize].entry(influence.joint).or_default() += f64::from(influence.weight);
         }
     }
-    let heaviest = |sums: Vec<f64>| (0..sums.len()).rev().max_by(|&a, &b| sums[a].total_cmp(&sums[b])).unwrap_or(0);
-    sums.into_iter().map(|sums| heaviest(sums) as u32).collect()
+    let heaviest = |sums: BTreeMap<u32, f64>| sums.into_iter().rev().max_by(|a, b| a.1.total_cmp(&b.1));
+    sums.into_iter().map(|sums| heaviest(sums).map(|(joint, _)| joint)).collect()
 }
 
 /// How far the samples of each box are from each other box.
@@ -281,9 +283,8 @@ mod tests {
     fn a_box_follows_the_joint_that_has_most_of_it() {
         let row = |joint, weight| vec![Influence { joint, weight }, Influence { joint: 2, weight: 1.0 - weight }];
         let skin = SkinWeights { rows: vec![row(1, 0.9), row(1, 0.2), row(1, 0.9), row(0, 0.6)] };
-        let joints = joints_by_weight(&[0, 0, 0, 1], 2, &skin, 3);
-        assert_eq!(joints, [1, 0]);
-        let rigid = rigid_weights(&[1, 0], &joints);
+        assert_eq!(joints_by_weight(&[0, 0, 0, 1], 3, &skin), [Some(1), Some(0), None]);
+        let rigid = rigid_weights(&[1, 0], &[1, 0]);
         assert_eq!(rigid.rows[1], [Influence { joint: 1, weight: 1.0 }]);
     }
 }

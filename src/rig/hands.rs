@@ -2,7 +2,8 @@
 //!
 //! | in         | space      | meaning                              |
 //! |------------|------------|--------------------------------------|
-//! | `skeleton` | normalised | y up, mirror plane near x = 0        |
+//! | `skeleton` | normalised | y up                                 |
+//! | `from_middle` |         | signed distance from the mirror plane |
 //!
 //! A hand is a joint away from the middle, with another such joint before it (the elbow), whose following joints are all nearer
 //! together than it is to the elbow, on its side, and above the feet. The rule is ours. The networks find few fingers (recall on
@@ -45,13 +46,13 @@ pub struct Hand {
 }
 
 /// The hands of `skeleton`, by ascending wrist.
-pub fn hands(skeleton: &Skeleton) -> Vec<Hand> {
+pub fn hands(skeleton: &Skeleton, from_middle: impl Fn(DVec3) -> f64) -> Vec<Hand> {
     let children = skeleton.children();
     let mut hands: Vec<Hand> = Vec::new();
     for wrist in 0..skeleton.joints.len() {
         let inside_another = hands.iter().any(|hand| hand.joints.contains(&wrist));
         let joints = below(wrist, &children);
-        if !inside_another && is_hand(skeleton, wrist, &joints) {
+        if !inside_another && is_hand(skeleton, wrist, &joints, &from_middle) {
             let fingers = joints.iter().filter(|&&joint| children[joint].is_empty()).count();
             hands.push(Hand { wrist, joints, fingers });
         }
@@ -60,28 +61,28 @@ pub fn hands(skeleton: &Skeleton) -> Vec<Hand> {
 }
 
 /// The skeleton without the fingers that are not wanted, and how many fingers it has left.
-pub fn with_fingers(skeleton: Skeleton, fingers: Fingers) -> (Skeleton, usize) {
+pub fn with_fingers(skeleton: Skeleton, fingers: Fingers, from_middle: impl Fn(DVec3) -> f64) -> (Skeleton, usize) {
     let is_kept = |hand: &Hand| match fingers {
         Fingers::Auto => hand.fingers != STRAY_ENDS,
         Fingers::On => true,
         Fingers::Off => false,
     };
-    let (kept, folded): (Vec<Hand>, Vec<Hand>) = hands(&skeleton).into_iter().partition(is_kept);
+    let (kept, folded): (Vec<Hand>, Vec<Hand>) = hands(&skeleton, from_middle).into_iter().partition(is_kept);
     let gone: Vec<usize> = folded.into_iter().flat_map(|hand| hand.joints).collect();
     (skeleton.without(&gone), kept.iter().map(|hand| hand.fingers).sum())
 }
 
-fn is_hand(skeleton: &Skeleton, wrist: usize, joints: &[usize]) -> bool {
+fn is_hand(skeleton: &Skeleton, wrist: usize, joints: &[usize], from_middle: impl Fn(DVec3) -> f64) -> bool {
     let at = |joint: usize| skeleton.joints[joint].position;
     let Some(elbow) = skeleton.joints[wrist].parent.filter(|_| !joints.is_empty()) else { return false };
-    let side = |position: DVec3| (position.x.abs() > MIDDLE).then_some(position.x > 0.0);
+    let side = |position: DVec3| (from_middle(position).abs() > MIDDLE).then_some(from_middle(position) > 0.0);
     let forearm = at(wrist).distance(at(elbow));
     let bone = |joint: usize| skeleton.joints[joint].parent.map_or(0.0, |parent| at(joint).distance(at(parent)));
     let belongs = |&joint: &usize| {
         FOREARM_MIN * bone(joint) < forearm
             && at(joint).distance(at(wrist)) < REACH_MAX * forearm
             && at(joint).y > HEIGHT_MIN
-            && (at(joint).x > 0.0) == (at(wrist).x > 0.0)
+            && (from_middle(at(joint)) > 0.0) == (from_middle(at(wrist)) > 0.0)
     };
     side(at(wrist)).is_some()
         && side(at(elbow)) == side(at(wrist))
@@ -133,9 +134,9 @@ mod tests {
 
     #[test]
     fn hands_are_found_and_feet_are_none() {
-        let found = hands(&figure(5));
+        let found = hands(&figure(5), |point| point.x);
         assert_eq!(found.iter().map(|hand| (hand.joints.len(), hand.fingers)).collect::<Vec<_>>(), [(5, 5), (5, 5)]);
-        assert_eq!(hands(&figure(0)), []);
+        assert_eq!(hands(&figure(0), |point| point.x), []);
     }
 
     #[test]
@@ -148,7 +149,7 @@ mod tests {
             (5, Fingers::Off, 0),
             (0, Fingers::On, 0),
         ] {
-            let (skeleton, fingers) = with_fingers(figure(given), wanted);
+            let (skeleton, fingers) = with_fingers(figure(given), wanted, |point| point.x);
             assert_eq!(fingers, left);
             assert_eq!(skeleton.joints.len(), figure(0).joints.len() + left);
             let parents_come_first =

@@ -1,11 +1,12 @@
 //! Legs that hang on a joint of the middle get a joint of their own to turn by.
 //!
-//! In: a predicted skeleton of a symmetric character, normalised frame, mirror plane x = 0. Where a bone leads from the middle down to
+//! In: a predicted skeleton of a symmetric character and its mirror plane, normalised frame. Where a bone leads from the middle down to
 //! the joint of a limb, the limb could only bend there: turning its start turns the other limb too. So a joint is put beside the
 //! middle one, above the limb, where that is inside the body. Ours.
 
 use super::Skeleton;
 use super::spanning_tree::Tree;
+use crate::geometry::symmetry_plane::SymmetryPlane;
 use glam::DVec3;
 
 /// Joints nearer to the plane than this are of the middle, those farther than [`LATERAL`] of a side, in longest sides.
@@ -15,15 +16,16 @@ const LATERAL: f64 = 0.03;
 const DROP: f64 = 0.13;
 
 /// The skeleton with a start for each limb that has none.
-pub fn with_limb_starts(skeleton: Skeleton, is_inside: impl Fn(DVec3) -> bool) -> Skeleton {
+pub fn with_limb_starts(skeleton: Skeleton, plane: &SymmetryPlane, is_inside: impl Fn(DVec3) -> bool) -> Skeleton {
     let children = skeleton.children();
     let mut positions = skeleton.positions();
     let mut parents: Vec<Option<usize>> = skeleton.joints.iter().map(|joint| joint.parent).collect();
     for joint in 0..skeleton.joints.len() {
         let Some(parent) = parents[joint] else { continue };
         let (limb, middle) = (positions[joint], positions[parent]);
-        let start = DVec3::new(limb.x, middle.y, middle.z);
-        let hangs = middle.x.abs() < MIDDLE && limb.x.abs() > LATERAL && middle.y - limb.y > DROP;
+        let (aside, off) = (plane.signed_distance(limb), plane.signed_distance(middle));
+        let start = middle + plane.normal * (aside - off);
+        let hangs = off.abs() < MIDDLE && aside.abs() > LATERAL && middle.y - limb.y > DROP;
         if hangs && !children[joint].is_empty() && is_inside(start) {
             parents[joint] = Some(positions.len());
             positions.push(start);
@@ -62,12 +64,13 @@ mod tests {
 
     #[test]
     fn legs_start_beside_the_pelvis_where_that_is_inside() {
-        let made = with_limb_starts(figure(), |_| true);
+        let plane = SymmetryPlane { normal: DVec3::X, offset: 0.0, score: 1.0 };
+        let made = with_limb_starts(figure(), &plane, |_| true);
         assert_eq!(made.joints.len(), 8);
         let knee = made.joints.iter().find(|joint| joint.position == DVec3::new(0.08, 0.3, 0.0)).expect("a knee");
         let start = &made.joints[knee.parent.expect("a start")];
         assert_eq!((start.position, start.parent), (DVec3::new(0.08, 0.5, 0.0), Some(0)));
-        assert_eq!(with_limb_starts(figure(), |_| false), figure());
-        assert_eq!(with_limb_starts(made.clone(), |_| true), made, "nothing hangs any more");
+        assert_eq!(with_limb_starts(figure(), &plane, |_| false), figure());
+        assert_eq!(with_limb_starts(made.clone(), &plane, |_| true), made, "nothing hangs any more");
     }
 }

@@ -18,11 +18,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-
-from mesh_files import write_obj
-from solids import Mesh, block, joined, ring_of, sphere, tube
+from PIL import Image, ImageDraw
 
 ROOT = Path(__file__).resolve().parent.parent.parent
+sys.path.insert(0, str(ROOT / "models"))
+
+from mesh_files import write_obj  # noqa: E402
+from rigsmith_models.evaluation.pictures import CELL, View, draw_mesh, draw_skeleton, joint_colours  # noqa: E402
+from solids import Mesh, block, joined, ring_of, sphere, tube  # noqa: E402
+
 BINARY = ROOT / "target/release/rigsmith"
 SECONDS = 120
 # Of the way that a vertex would go if its bone alone moved it. Artists' weights blend over about a tenth of a part's length.
@@ -131,6 +135,8 @@ def box_animal() -> Case:
         joints[name] = ("chest" if name.startswith("leg_f") else "hips", (x, 0.42, z))
         joints[f"{name}_foot"] = (name, (x, 0.03, z))
     pose = {"leg_fl": ((1, 0, 0), -40.0), "leg_br": ((1, 0, 0), 40.0), "neck": ((1, 0, 0), 35.0), "tail": ((0, 1, 0), 50.0)}
+    # A leg is one box: its foot alone takes it nowhere.
+    pose["leg_fr_foot"] = ((1, 0, 0), 60.0)
     followers = [
         Follower("leg_fl", "leg_fl", lambda v: v[:, 1] < 0.1), Follower("leg_br", "leg_br", lambda v: v[:, 1] < 0.1),
         Follower("head", "neck"), Follower("tail", "tail", lambda v: v[:, 2] < -0.5),
@@ -216,6 +222,25 @@ def faults(case: Case, ranges: dict[str, slice], vertices: np.ndarray, weights: 
     return found
 
 
+def draw_sheet(path: Path, drawn: list[tuple[Case, Mesh, dict[str, slice], np.ndarray]]) -> None:
+    """A column per case: at rest with its skeleton, and posed; each part in a colour of its own."""
+    sheet = Image.new("RGB", (CELL * len(drawn), 2 * CELL + 16), "white")
+    draw = ImageDraw.Draw(sheet)
+    for column, (case, mesh, ranges, after) in enumerate(drawn):
+        colours = np.zeros((len(mesh.vertices), 3))
+        for part, colour in zip(ranges.values(), joint_colours(len(ranges))):
+            colours[part] = colour
+        view, left = View(np.concatenate([mesh.vertices, after])), column * CELL
+        for row, vertices in enumerate((mesh.vertices, after)):
+            draw_mesh(draw, view, left, 16 + row * CELL, vertices, mesh.faces, colours)
+        names = list(case.joints)
+        parents = [names.index(parent) if parent else -1 for parent, _ in case.joints.values()]
+        places = np.array([place for _, place in case.joints.values()])
+        draw_skeleton(draw, view, left, 16, places, parents, "#26323e")
+        draw.text((left + 6, 2), case.name, fill="black")
+    sheet.save(path, optimize=True)
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path)
@@ -239,9 +264,7 @@ def main() -> int:
         for fault in found:
             print(f"FAILED skinning: {case.name}: {fault}", flush=True)
     if arguments.sheet:
-        from pose_sheet import draw_sheet
-
-        draw_sheet(arguments.sheet, [(case.name, mesh, ranges, case.joints, after) for case, mesh, ranges, after in drawn])
+        draw_sheet(arguments.sheet, drawn)
     print(f"skinning: {len(CASES) - failed} passed, {failed} failed")
     return 1 if failed else 0
 

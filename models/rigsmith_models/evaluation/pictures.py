@@ -7,6 +7,7 @@ from PIL import Image, ImageDraw
 
 CELL = 240
 MARGIN = 14
+FACE_PIXELS = 12.0
 LIGHT = np.array([0.35, 0.5, 0.8])
 TURN_DEGREES = 35  # about the vertical, so that depth shows
 
@@ -39,6 +40,7 @@ def joint_colours(count: int) -> np.ndarray:
 
 def draw_mesh(draw: ImageDraw.ImageDraw, view: View, left: float, top: float, vertices, faces, colours) -> None:
     """Painter's algorithm, far faces first; colours (V, 3) shaded by the facing."""
+    vertices, faces, colours = finer(vertices, faces, colours, FACE_PIXELS / view.scale)
     seen = view(vertices)
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     normal = np.cross(b - a, c - a)
@@ -48,6 +50,22 @@ def draw_mesh(draw: ImageDraw.ImageDraw, view: View, left: float, top: float, ve
     for face in np.argsort(seen[faces, 2].mean(1)):
         corners = [(left + x, top + y) for x, y in seen[faces[face], :2]]
         draw.polygon(corners, fill=tuple(fill[face]))
+
+
+def finer(vertices, faces, colours, length: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The same surface with no edge longer than ``length``: far and near can be told of small faces only."""
+    while True:
+        corners = vertices[faces]
+        is_long = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2).max(1) > length
+        if not is_long.any():
+            return vertices, faces, colours
+        a, b, c = faces[is_long].T
+        middles = [0.5 * (values[x] + values[y]) for values in (vertices, colours) for x, y in ((a, b), (b, c), (c, a))]
+        count, first = len(a), len(vertices)
+        ab, bc, ca = (first + k * count + np.arange(count) for k in range(3))
+        vertices, colours = np.concatenate([vertices, *middles[:3]]), np.concatenate([colours, *middles[3:]])
+        quarters = [np.stack(corner, axis=1) for corner in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))]
+        faces = np.concatenate([faces[~is_long], *quarters])
 
 
 def draw_skeleton(draw: ImageDraw.ImageDraw, view: View, left: float, top: float, joints, parents, colour: str) -> None:
