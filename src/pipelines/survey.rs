@@ -54,7 +54,7 @@ pub fn survey(mesh: &Mesh, to_upright: DMat3) -> Option<Survey> {
         components: working.component_of_welded.iter().max().map_or(0, |&last| last as usize + 1),
         boundary_edges: edges.boundary,
         nonmanifold_edges: edges.non_manifold,
-        self_intersecting: self_intersecting(welded, &Bvh::new(welded)),
+        self_intersecting: self_intersecting(welded),
         degenerate_faces: mesh.triangles.len() - working.welded.mesh.triangles.len(),
         height: (high.y - low.y) / normalization.scale,
         symmetry_plane: plane_in_upload(&symmetry, &normalization),

@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree, sho
 
 from .shards import Rig
 
-ROOT_NEAR = 1e-9  # added to every way: the library takes zeros for "no edge"
+EDGE_MIN = 1e-9  # added to every edge: the library takes zeros for none
 
 
 def ways_along(points: np.ndarray, joints: np.ndarray, parents: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -31,7 +31,7 @@ def ways_along(points: np.ndarray, joints: np.ndarray, parents: np.ndarray) -> t
     to_end = np.stack([share[row, bone] * length, (1 - share[row, bone]) * length], axis=1)
 
     edges = np.zeros((len(joints), len(joints)))
-    edges[child, parents[child]] = np.linalg.norm(joints[child] - joints[parents[child]], axis=1) + ROOT_NEAR
+    edges[child, parents[child]] = np.linalg.norm(joints[child] - joints[parents[child]], axis=1) + EDGE_MIN
     between_joints = shortest_path(edges, directed=False)
     ways = to_end[:, None, :, None] + between_joints[ends[:, None, :, None], ends[None, :, None, :]] + to_end[None, :, None, :]
     between = ways.reshape(len(points), len(points), 4).min(2)
@@ -46,7 +46,7 @@ def with_joints(rig: Rig, points: np.ndarray) -> Rig:
     """The rig with ``points`` (N, 3) for joints, root first, parents before children; each joint's weights go to the point that
     is nearest along the skeleton."""
     between, to_root = ways_along(np.concatenate([points, rig.joints]), rig.joints.astype(float), rig.parents.astype(int))
-    own = between[: len(points), : len(points)] + ROOT_NEAR
+    own = between[: len(points), : len(points)] + EDGE_MIN
     tree = minimum_spanning_tree(np.triu(own, 1))
     root = int(to_root[: len(points)].argmin())
     order, parents = breadth_first_order(tree, root, directed=False)
