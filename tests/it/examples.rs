@@ -1,5 +1,6 @@
-//! Every example of README.md and docs/api.md, run as a reader would: with curl and the program, against a service that
-//! was started for it.
+//! Every example of README.md and of docs/api.md, webhooks.md and operation.md, run as a reader would: with curl and the program,
+//! against a service that was started for it. (The Python of docs/webhooks.md and docs/grpc.md is run by tests/checks; a service of
+//! many machines by tests/reliability.)
 
 use super::program::sample;
 use std::io::{BufRead, BufReader};
@@ -15,9 +16,14 @@ pub struct Served {
 
 impl Served {
     pub fn start() -> Self {
+        Self::with(&[])
+    }
+
+    fn with(settings: &[&str]) -> Self {
         let folder = tempfile::tempdir().expect("folder");
         let mut process = Command::new(env!("CARGO_BIN_EXE_rigsmith"))
             .args(["serve", "--listen", "127.0.0.1:0", "--data", "data"])
+            .args(settings)
             .current_dir(folder.path())
             .env_remove("ORT_DYLIB_PATH")
             .stdout(Stdio::piped())
@@ -122,9 +128,9 @@ fn the_examples_of_the_api_do_what_they_say() {
     }
 }
 
-#[test]
-fn the_examples_of_the_readme_do_what_they_say() {
-    let text = document("README.md");
+/// The indented lines of a document that call one of `programs`, continued lines joined.
+fn commands(name: &str, programs: &[&str]) -> Vec<String> {
+    let text = document(name);
     let mut commands: Vec<String> = Vec::new();
     let mut continued = false;
     for line in text.lines().filter_map(|line| line.strip_prefix("    ")) {
@@ -132,7 +138,7 @@ fn the_examples_of_the_readme_do_what_they_say() {
         if continued {
             let last = commands.last_mut().expect("a first line");
             last.push_str(line);
-        } else if line.starts_with("curl ") || line.starts_with("target/release/rigsmith ") {
+        } else if line.split(' ').next().is_some_and(|program| programs.contains(&program)) {
             commands.push(line.to_owned());
         } else {
             continue;
@@ -143,6 +149,51 @@ fn the_examples_of_the_readme_do_what_they_say() {
             last.truncate(last.len() - 1);
         }
     }
+    commands
+}
+
+#[test]
+fn the_examples_of_webhooks_do_what_they_say() {
+    let served = Served::with(&["--outgoing"]);
+    let upload = r#"curl -sS --fail-with-body -F file=@hero.glb "$HOST/v1/assets""#;
+    let asset: serde_json::Value = serde_json::from_str(&served.run(upload)).expect("JSON");
+    let mut ids = format!("ASSET={}; ENDPOINT=; ", asset["id"].as_str().expect("an id"));
+    let commands = commands("docs/webhooks.md", &["curl"]);
+    assert!(commands.len() >= 5, "{commands:#?}");
+    let mut said = Vec::new();
+    for command in commands {
+        let answer: serde_json::Value = serde_json::from_str(&served.run(&(ids.clone() + &command))).expect("JSON");
+        if let Some(made) = answer["id"].as_str().filter(|id| id.starts_with("whe_")) {
+            ids += &format!("ENDPOINT={made}; ");
+        }
+        said.push(answer);
+    }
+    assert!(said[0]["secret"].as_str().is_some_and(|secret| secret.starts_with("whsec_")), "{said:#?}");
+    assert_eq!(said[2]["data"].as_array().map(Vec::len), Some(1), "the test is listed");
+    let wanted = serde_json::json!(["rig.succeeded"]);
+    assert!(
+        said.iter().any(|answer| answer["request"]["webhook"]["events"] == wanted),
+        "one rig tells of itself: {said:#?}"
+    );
+}
+
+#[test]
+fn the_examples_of_settings_and_keys_do_what_they_say() {
+    let served = Served::start();
+    served.run("echo 'upload_mib = 200' > rigsmith.toml");
+    // Services that run until they are stopped are started by `program` and by tests/reliability/machines.py.
+    let ends = |command: &String| !command.starts_with("rigsmith serve") && !command.starts_with("rigsmith worker");
+    let commands = commands("docs/operation.md", &["rigsmith"]);
+    let said: Vec<String> =
+        commands.iter().filter(|command| ends(command)).map(|command| served.run(command)).collect();
+    assert!(said.len() >= 3, "{commands:#?}");
+    assert!(said[0].contains("upload_mib = 200"), "{}", said[0]);
+    assert!(said[2].contains("studio"), "{}", said[2]);
+}
+
+#[test]
+fn the_examples_of_the_readme_do_what_they_say() {
+    let commands = commands("README.md", &["curl", "target/release/rigsmith"]);
     assert!(commands.len() >= 5, "{commands:#?}");
     let served = Served::start();
     let sample = sample();
