@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rigsmith_models.data.shards import Rig
-from rigsmith_models.evaluation import baselines, metrics, pictures, posing, program, skeleton, tables
+from rigsmith_models.evaluation import baselines, fingers, metrics, pictures, posing, program, skeleton, tables
 from rigsmith_models.evaluation.clustering import Clustering
 from rigsmith_models.evaluation.measure import joint_figures, official_rig
 
@@ -29,6 +29,20 @@ def test_the_tolerance_multiplier_decides_what_matches():
     figures = joint_figures(predicted, CHAIN, ARM, CHAIN, tolerance)
     assert (figures["iou_half"], figures["iou"], figures["iou_wide"]) == (pytest.approx(1 / 3), pytest.approx(2 / 3), 1)
     assert figures["cd_j2j"] == pytest.approx(0.1) and figures["joint_ratio"] == 1
+
+
+def test_fingers_are_known_by_name_and_what_hangs_on_them_moves_up():
+    names = ("hips", "hand.L", "Index1.L", "mixamorig:LeftHandRing2", "Spring", "Bip01_R_Finger0", "Thumb_ring_box")
+    assert fingers.finger_joints(names, 7).tolist() == [False, False, True, True, False, True, True]
+    assert not fingers.finger_joints((), 3).any()
+    joints, parents = np.arange(15.0).reshape(5, 3), np.array([-1, 0, 1, 2, 2])
+    kept, above = fingers.without_joints(joints, parents, np.array([False, True, True, False, False]))
+    assert np.array_equal(kept, joints[[0, 3, 4]]) and above.tolist() == [-1, 0, 0]
+
+
+def test_a_joint_is_found_by_its_own_partner_alone():
+    found = metrics.found_joints(ARM[1:], ARM, np.full(3, 0.1))
+    assert found.tolist() == [False, True, True]
 
 
 def test_bone_distance_forgets_where_along_the_bone_joints_are():

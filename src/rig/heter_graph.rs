@@ -14,7 +14,8 @@
 //! # Departures from the paper
 //! - Links to joints, not to bones: several bones of one hip cannot crowd out the others.
 //! - A link carries two further distances, the heat, and where the vertex is along the bone, not HollowDist alone.
-//! - Every joint looks at up to [`SIGHT`] of its vertices, evenly spread from near to far, which bounds memory.
+//! - Every joint looks at up to [`SIGHT`] of the vertices that its heat reaches, chosen by a hash: memory is bounded, and a change
+//!   elsewhere on the skeleton leaves the choice as it is.
 
 use super::Skeleton;
 use super::bone_weights::{BoneWeights, masked_softmax};
@@ -27,10 +28,15 @@ use rayon::prelude::*;
 pub const LINKS: usize = 8;
 /// Numbers per link.
 pub const LINK_CHANNELS: usize = 13;
+/// Which of them is the heat.
+const HEAT: usize = 3;
 /// Numbers per joint.
 pub const JOINT_CHANNELS: usize = 8;
-/// Links that a joint looks at.
+/// Links that a joint looks at: how many, and from which heat on.
 pub const SIGHT: usize = 32;
+const SEEN_FROM: f32 = 0.05;
+/// Of vertices [Knuth, The Art of Computer Programming, 6.4]: neighbours in the file are far apart in the order of their hashes.
+const HASH_FACTOR: u32 = 2_654_435_761;
 /// Weights below this share of a row's greatest are dropped.
 pub const LINK_PRUNE_SHARE: f32 = 0.05;
 /// Stands for a distance that is infinite or absurd: two sides of the frame.
@@ -175,23 +181,21 @@ fn links_of(vertex: DVec3, bones: &[Bone], hollow: &[f32], voxel: &[f32], straig
     chosen.into_iter().filter_map(link).collect()
 }
 
-/// For each joint up to [`SIGHT`] of the links that lead to it, evenly spread in the order of HollowDist, repeated where there are
-/// fewer; and which joints have any.
+/// For each joint up to [`SIGHT`] of the links by which its heat reaches a vertex, in the order of the vertices' hashes, repeated
+/// where there are fewer; and which joints have any.
 fn seen_by_joints(rows: &[Vec<Link>], joint_count: usize) -> (Vec<u32>, Vec<f32>) {
-    let mut of_joint: Vec<Vec<(f32, u32)>> = vec![Vec::new(); joint_count];
+    let mut of_joint: Vec<Vec<(u32, u32)>> = vec![Vec::new(); joint_count];
     for (vertex, row) in rows.iter().enumerate() {
-        for (slot, link) in row.iter().enumerate() {
-            of_joint[link.joint as usize].push((link.features[0], (vertex * LINKS + slot) as u32));
+        let hash = (vertex as u32).wrapping_mul(HASH_FACTOR);
+        for (slot, link) in row.iter().enumerate().filter(|(_, link)| link.features[HEAT] >= SEEN_FROM) {
+            of_joint[link.joint as usize].push((hash, (vertex * LINKS + slot) as u32));
         }
     }
     let mut seen = Vec::with_capacity(joint_count * SIGHT);
     for links in &mut of_joint {
-        links.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        let count = links.len();
-        seen.extend((0..SIGHT).map(|at| {
-            let spread = if count > SIGHT { at * count / SIGHT } else { at % count.max(1) };
-            links.get(spread).map_or(0, |link| link.1)
-        }));
+        links.sort_unstable();
+        let repeated = links.iter().cycle().map(|link| link.1).chain(std::iter::repeat(0));
+        seen.extend(repeated.take(SIGHT));
     }
     (seen, of_joint.iter().map(|links| f32::from(!links.is_empty())).collect())
 }
@@ -253,15 +257,32 @@ mod tests {
     }
 
     #[test]
-    fn joints_see_their_links_from_near_to_far() {
-        let vertices: Vec<DVec3> = (0..100).map(|at| DVec3::X * (1.0 + f64::from(at) * 0.01)).collect();
-        let graph = graph(&vertices);
-        let seen = &graph.joint_links[SIGHT..2 * SIGHT];
-        assert_eq!(seen.len(), SIGHT);
-        assert!(seen.windows(2).all(|pair| pair[0] / LINKS as u32 <= pair[1] / LINKS as u32));
-        assert!(seen.iter().all(|&link| graph.links[link as usize] == 1));
-        assert_eq!(seen[0] as usize / LINKS, 0);
-        assert!(seen[SIGHT - 1] as usize / LINKS > 90);
+    fn a_joint_sees_vertices_that_its_heat_reaches_and_the_same_whatever_other_joints_do() {
+        // Joint 1 warms the vertices from 20 on; joints 2 and 3 share the others in two ways.
+        let seen = |shares: [f32; 2]| {
+            let warmed = |vertex: usize| if vertex < 20 { [0.0, shares[0], shares[1]] } else { [1.0, 0.0, 0.0] };
+            let row = |vertex: usize| {
+                let link = |joint: usize, heat: f32| Link {
+                    joint: joint as u32 + 1,
+                    features: std::array::from_fn(|at| if at == HEAT { heat } else { 0.0 }),
+                };
+                warmed(vertex).into_iter().enumerate().map(|(joint, heat)| link(joint, heat)).collect()
+            };
+            seen_by_joints(&(0..100).map(row).collect::<Vec<Vec<Link>>>(), 4)
+        };
+        let (links, mask) = seen([0.5, 0.5]);
+        assert_eq!(mask, [0.0, 1.0, 1.0, 1.0]);
+        let of = |joint: usize| &links[joint * SIGHT..][..SIGHT];
+        assert_eq!(of(0), [0; SIGHT]);
+        let of_first: Vec<usize> = of(1).iter().map(|link| *link as usize / LINKS).collect();
+        assert!(of_first.iter().all(|&vertex| vertex >= 20) && of(1).iter().all(|link| *link as usize % LINKS == 0));
+        assert!(
+            of_first.iter().any(|&vertex| vertex < 40) && of_first.iter().any(|&vertex| vertex > 80),
+            "{of_first:?}"
+        );
+        assert!(of(2).iter().all(|&link| (link as usize) < 20 * LINKS && link as usize % LINKS == 1));
+        let (changed, mask) = seen([1.0, 0.0]);
+        assert_eq!((&changed[SIGHT..2 * SIGHT], mask[3]), (of(1), 0.0));
     }
 
     #[test]

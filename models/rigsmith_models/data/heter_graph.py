@@ -5,7 +5,8 @@ import numpy as np
 from .augment import MIRROR
 from .character import Character
 
-SIGHT = 32  # links that a joint looks at
+SIGHT, SEEN_FROM = 32, 0.05  # links that a joint looks at: how many, and from which heat on
+HASH_FACTOR = np.uint32(2_654_435_761)  # of vertices, Knuth's
 VECTORS_OF_LINK, VECTORS_OF_JOINT = (7, 10), (0, 3)  # columns where a vector starts
 LINK_INPUTS = ("joint_features", "joint_neighbours", "links", "link_mask", "link_features", "joint_links", "joint_mask", "target")
 
@@ -21,18 +22,22 @@ def joint_neighbours(parents: np.ndarray) -> np.ndarray:
     return np.array([row + [row[0]] * (columns - len(row)) for row in rows], np.int64)
 
 
-def joint_links(links: np.ndarray, mask: np.ndarray, hollow: np.ndarray, joint_count: int) -> tuple[np.ndarray, np.ndarray]:
-    """links, mask, hollow: (V, K) -> (J, SIGHT) links as vertex * K + slot, evenly spread by HollowDist, and (J,) whether any."""
-    valid = np.flatnonzero(mask.reshape(-1))
-    joint, away = links.reshape(-1)[valid], hollow.reshape(-1)[valid]
-    order = np.lexsort((valid, away, joint))
+def joint_links(links: np.ndarray, seen: np.ndarray, joint_count: int) -> tuple[np.ndarray, np.ndarray]:
+    """links, seen: (V, K) -> (J, SIGHT) links as vertex * K + slot, in the order of a hash of the vertex, and (J,) whether any.
+
+    Which links a joint looks at depends on nothing but these links: a change elsewhere on the skeleton leaves them as they are.
+    """
+    columns = links.shape[1]
+    valid = np.flatnonzero(seen.reshape(-1))
+    joint = links.reshape(-1)[valid]
+    hashed = (valid // columns).astype(np.uint32) * HASH_FACTOR
+    order = np.lexsort((valid, hashed, joint))
     valid, joint = valid[order], joint[order]
     first = np.searchsorted(joint, np.arange(joint_count))
     count = np.searchsorted(joint, np.arange(joint_count), side="right") - first
-    at = np.arange(SIGHT)
-    spread = np.where(count[:, None] > SIGHT, at * count[:, None] // SIGHT, at % np.maximum(count[:, None], 1))
-    seen = valid[np.minimum(first[:, None] + spread, len(valid) - 1)]
-    return np.where(count[:, None] > 0, seen, 0), count > 0
+    at = np.arange(SIGHT) % np.maximum(count[:, None], 1)
+    chosen = np.append(valid, 0)[first[:, None] + at]
+    return np.where(count[:, None] > 0, chosen, 0), count > 0
 
 
 def heter_graph(character: Character, kept: np.ndarray, mirrored: bool, slots: int) -> dict[str, np.ndarray]:
@@ -46,7 +51,7 @@ def heter_graph(character: Character, kept: np.ndarray, mirrored: bool, slots: i
             features[:, :, column : column + 3] *= MIRROR
         for column in VECTORS_OF_JOINT:
             of_joints[:, column : column + 3] *= MIRROR
-    seen, any_seen = joint_links(links, mask, features[:, :, 0], count)
+    seen, any_seen = joint_links(links, mask & (features[:, :, 3] >= SEEN_FROM), count)
     neighbours = joint_neighbours(character.parents)
     spare = slots - count
     own = np.repeat(np.arange(count, slots)[:, None], neighbours.shape[1], axis=1)

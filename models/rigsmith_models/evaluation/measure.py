@@ -13,6 +13,7 @@ from ..data.prepare import character_of, service_features, without_flat_faces
 from ..data.shards import Rig
 from . import baselines, metrics, stages
 from .clustering import Clustering
+from .fingers import finger_joints, without_joints
 from .posing import posed_distances
 from .program import Program, Refused, Rigged
 
@@ -57,6 +58,13 @@ def measured(rig: Rig, setting: Setting) -> tuple[Measured, Rigged, np.ndarray]:
     made = attempt(lambda: setting.program.rig(vertices, rig.faces), vertices, "rig", result)
     result.figures["joints"] = {"rigsmith": joint_figures(made.joints, made.parents, joints, parents, character.tolerance)}
     result.figures["rig"] = {"rigsmith": soundness(made, joints, parents)}
+    fingers = finger_joints(rig.names, len(joints))
+    folded = attempt(lambda: setting.program.rig(vertices, rig.faces, "--fingers", "off"), vertices, "fingers off", result)
+    body = without_joints(joints, parents, fingers)
+    result.figures["body"] = {"rigsmith": joint_figures(folded.joints, folded.parents, *body, character.tolerance[~fingers])}
+    if fingers.any():
+        found = metrics.found_joints(made.joints, joints, character.tolerance)
+        result.figures["rig"]["rigsmith"] |= {"fingers_found": float(found[fingers].mean()), "others_found": float(found[~fingers].mean())}
     medial = baselines.medial_joints(vertices, faces, setting.clustering)
     medial = medial if len(medial) else vertices.mean(0, keepdims=True)
     tree = baselines.shortest_tree(medial, baselines.central_joint(medial))

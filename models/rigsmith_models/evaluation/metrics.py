@@ -56,10 +56,17 @@ def matched_joints(predicted, reference, tolerance, multiplier: float = 1.0) -> 
 
     IoU = 2 x matched / (predicted + reference). tolerance: (R,), see ``data.targets.tolerance``.
     """
+    matched = int(found_joints(predicted, reference, tolerance, multiplier).sum())
+    return 2 * matched / (len(predicted) + len(reference)), matched / len(predicted), matched / len(reference)
+
+
+def found_joints(predicted, reference, tolerance, multiplier: float = 1.0) -> np.ndarray:
+    """(R,) bool: which reference joints have a Hungarian partner within their tolerance."""
     distance = cdist(predicted, reference)
     row, column = linear_sum_assignment(distance)
-    matched = int((distance[row, column] <= tolerance[column] * multiplier).sum())
-    return 2 * matched / (len(predicted) + len(reference)), matched / len(predicted), matched / len(reference)
+    found = np.zeros(len(reference), bool)
+    found[column] = distance[row, column] <= tolerance[column] * multiplier
+    return found
 
 
 def tree_edit_distance(joints_a, parents_a, joints_b, parents_b) -> float:

@@ -11,6 +11,7 @@ from . import metrics
 # Stage -> the systems, ours first; and the figures: name, heading, factor, decimals, whether less is better.
 SYSTEMS = {
     "joints": ("rigsmith", "nearest_rig", "medial_points"),
+    "body": ("rigsmith",),
     "tree": ("rigsmith", "shortest_tree"),
     "root": ("rigsmith", "central_joint"),
     "skin": ("auto", "heter_skin_net", "rignet", "geodesic_heat", "geodesic_voxel", "blender_heat", "inverse_distance", "closest_bone"),
@@ -20,6 +21,10 @@ FIGURES = {
         ("cd_j2j", "CD-J2J %", 100, 2, True), ("cd_j2b", "CD-J2B %", 100, 2, True), ("cd_b2b", "CD-B2B %", 100, 2, True),
         ("iou", "IoU", 1, 3, False), ("precision", "precision", 1, 3, False), ("recall", "recall", 1, 3, False),
         ("tree_edit", "tree edit", 1, 1, True),
+    ),
+    "body": (
+        ("cd_j2j", "CD-J2J %", 100, 2, True), ("iou", "IoU", 1, 3, False), ("precision", "precision", 1, 3, False),
+        ("recall", "recall", 1, 3, False), ("joint_ratio", "joints / reference", 1, 2, False),
     ),
     "tree": (("tree_edit", "tree edit", 1, 2, True), ("bones_found", "bones found", 1, 3, False)),
     "root": (("accuracy", "accuracy", 1, 3, False), ("near", "within .05", 1, 3, False)),
@@ -32,7 +37,9 @@ MULTIPLIED = tuple(
     (f"{name}{suffix}", f"{name} × {multiplier}", 1, 3, False)
     for suffix, multiplier in (("_half", "½"), ("_wide", "1½")) for name in ("IoU".lower(), "precision", "recall"))
 TITLES = {
-    "joints": "Joints and skeleton, as the program gives them", "tree": "Tree on the reference joints, from the reference root",
+    "joints": "Joints and skeleton, as the program gives them",
+    "body": "Joints without fingers: the reference's left out, ours folded (`--fingers off`)",
+    "tree": "Tree on the reference joints, from the reference root",
     "root": "Root among the reference joints", "skin": "Skin on the reference skeleton",
 }
 
@@ -76,7 +83,7 @@ def soundness(characters: list[dict]) -> dict:
     }
     for figure in ("unweighted", "not_finite"):
         result[figure] = float(column(characters, "rig", "rigsmith", figure).sum())
-    for figure in ("mirror_error", "root_distance", "by_nearest_bone", "seconds"):
+    for figure in ("mirror_error", "root_distance", "by_nearest_bone", "seconds", "fingers_found", "others_found"):
         result[figure] = mean_with_interval(column(characters, "rig", "rigsmith", figure))
     return result
 
@@ -126,7 +133,7 @@ def tolerance_table(group: dict) -> list[str]:
 
 def soundness_lines(group: dict) -> list[str]:
     sound = group["soundness"]
-    ratio = sound["joint_ratio_median"]
+    ratio, fingers = sound["joint_ratio_median"], sound["fingers_found"]
     return [
         f"Failures {sound['failures']}; vertices without weights {sound['unweighted']:.0f}; values that are no numbers "
         f"{sound['not_finite']:.0f}. Predicted / reference joints, median: {ratio['median']:.2f} "
@@ -134,7 +141,9 @@ def soundness_lines(group: dict) -> list[str]:
         f"{number(sound['mirror_error'], 100, 3)} % of the longest side"
         + (f" ({sound['mirror_error']['count']} characters)" if sound["mirror_error"] else "")
         + f". Distance of our root from the reference root: {number(sound['root_distance'], 100, 1)} %. "
-        f"Seconds a rig (one thread, machine shared): {number(sound['seconds'], 1, 2)}.", ""]
+        f"Seconds a rig (one thread, machine shared): {number(sound['seconds'], 1, 2)}."
+        + (f" Where the artist rigged fingers ({fingers['count']} characters), share of their joints found: "
+           f"{number(fingers, 1, 2)}; of the other joints there: {number(sound['others_found'], 1, 2)}." if fingers else ""), ""]
 
 
 def group_text(title: str, group: dict) -> list[str]:

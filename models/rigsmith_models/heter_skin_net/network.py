@@ -1,7 +1,7 @@
 """How much each vertex follows the joints that it is linked to. HeterSkinNet [Pan et al. 2021], Sections 3.2 to 3.4, Figure 3.
 
 The mesh and the skeleton are two graphs, joined by links. Convolutions run inside each graph, from vertices to joints and
-from joints to vertices; both graphs have a global branch; a head answers per link.
+from joints to vertices; the mesh has a global branch; a head answers per link.
 """
 
 import torch
@@ -16,6 +16,7 @@ HOLLOW, VOXEL, STRAIGHT, HEAT, ALONG, LENGTH, LEAF = range(7)  # columns of a li
 DISTANCE_MIN, HEAT_MIN, RADIUS_MIN = 1e-3, 1e-3, 1e-2
 DESCRIBED_CHANNELS = 18
 VARIANCE_SCALE = 0.1  # beside maximum and mean, in what a joint sees of its vertices
+HEAT_HALF = 0.05  # at which heat a link counts half in what its vertex sees
 EMPTY = -1e4  # logit of an empty link
 
 
@@ -30,7 +31,8 @@ class HeterSkinNet(nn.Module):
 
     Departures from the paper: links to joints, eight of them, with one head for all links in place of one output per rank (a
     joint is no other joint for being second nearest); what a link carries beside HollowDist; and the logit is added to that of
-    the bone heat, which needs no training.
+    the bone heat, which needs no training. What a joint does to weights ends where its heat ends, so that an edit of the skeleton is
+    felt near it: the global branch sees the mesh alone, and what a vertex takes from its links is weighed by their heat.
     """
 
     inputs = ("positions", "medial_offsets", "one_ring", "joint_features", "joint_neighbours", "links", "link_mask", "link_features",
@@ -56,12 +58,11 @@ class HeterSkinNet(nn.Module):
         self.vertex_sees = Dense(3 * c, c, normalisation)
         self.mesh_2 = EdgeConv(c, c, normalisation)
         self.mesh_global = Dense(c, 2 * c, normalisation)
-        self.skeleton_global = Dense(c, 2 * c, normalisation)
 
         self.head_link = nn.Linear(c, 2 * c)
         self.head_vertex = nn.Linear(c, 2 * c, bias=False)
         self.head_joint = nn.Linear(c, 2 * c, bias=False)
-        self.head_global = nn.Linear(4 * c, 2 * c, bias=False)
+        self.head_global = nn.Linear(2 * c, 2 * c, bias=False)
         self.head_norm = normalisation_layer(normalisation, 2 * c)
         self.dropout = nn.Dropout(dropout)
         self.head_last = Dense(2 * c, c, normalisation)
@@ -88,16 +89,17 @@ class HeterSkinNet(nn.Module):
         variance = VARIANCE_SCALE * ((seen - mean.unsqueeze(1)) ** 2).mean(1)
         seen = torch.cat([seen.amax(1), mean, variance], dim=1) * joint_mask.unsqueeze(1)
         j2 = self.skeleton_2(self.joint_sees(torch.cat([j1, seen], dim=1)), joint_neighbours)
-        mean = link.sum(1) / link_mask.sum(1, keepdim=True).clamp(min=1.0)
-        v2 = self.mesh_2(self.vertex_sees(torch.cat([v1, link.amax(1), mean], dim=1)), one_ring)
+        heat = link_features[:, :, HEAT : HEAT + 1]
+        near = heat / (heat + HEAT_HALF) * link_mask.unsqueeze(2)
+        mean = (near * link).sum(1) / near.sum(1).clamp(min=1e-3)
+        v2 = self.mesh_2(self.vertex_sees(torch.cat([v1, (near * link).amax(1), mean], dim=1)), one_ring)
 
-        globals_ = torch.cat([maximum_per_graph(self.mesh_global(v2), graph_count),
-                              maximum_per_graph(self.skeleton_global(j2), graph_count)], dim=1)
+        globals_ = maximum_per_graph(self.mesh_global(v1), graph_count)
         of_vertex = add_to_graph(self.head_vertex(v2), self.head_global(globals_))
         hidden = self.head_link(link) + of_vertex.unsqueeze(1) + F.embedding(links, self.head_joint(j2))
         hidden = self.head_last(self.dropout(per_row(self.head_norm, torch.relu(hidden))))
         hidden = hidden.reshape(-1, LINKS, v1.shape[1])
-        rival = torch.relu(self.rival(hidden)).masked_fill(empty, 0.0).amax(1, keepdim=True).expand_as(hidden)
+        rival = (near * torch.relu(self.rival(hidden))).amax(1, keepdim=True).expand_as(hidden)
         logit = self.out(torch.cat([hidden, rival], dim=2)).squeeze(2)
         return torch.where(link_mask > 0.5, logit + prior, torch.full_like(logit, EMPTY))
 
