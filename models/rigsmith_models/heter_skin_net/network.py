@@ -66,8 +66,7 @@ class HeterSkinNet(nn.Module):
         self.head_norm = normalisation_layer(normalisation, 2 * c)
         self.dropout = nn.Dropout(dropout)
         self.head_last = Dense(2 * c, c, normalisation)
-        self.rival = nn.Linear(c, c)  # what the other links of the vertex say
-        self.out = nn.Linear(2 * c, 1)
+        self.out = nn.Linear(c, 1)
         nn.init.zeros_(self.out.weight)
         nn.init.zeros_(self.out.bias)
         self.prior = nn.Parameter(torch.tensor([1.0, 0.0, 0.0, 0.0]))  # powers of heat and of the three distances
@@ -98,9 +97,7 @@ class HeterSkinNet(nn.Module):
         of_vertex = add_to_graph(self.head_vertex(v2), self.head_global(globals_))
         hidden = self.head_link(link) + of_vertex.unsqueeze(1) + F.embedding(links, self.head_joint(j2))
         hidden = self.head_last(self.dropout(per_row(self.head_norm, torch.relu(hidden))))
-        hidden = hidden.reshape(-1, LINKS, v1.shape[1])
-        rival = (near * torch.relu(self.rival(hidden))).amax(1, keepdim=True).expand_as(hidden)
-        logit = self.out(torch.cat([hidden, rival], dim=2)).squeeze(2)
+        logit = self.out(hidden).reshape(-1, LINKS)
         return torch.where(link_mask > 0.5, logit + prior, torch.full_like(logit, EMPTY))
 
     def described(self, link_features, link_mask, radius) -> tuple[torch.Tensor, torch.Tensor]:
