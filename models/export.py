@@ -22,7 +22,7 @@ from onnx import TensorProto, helper, numpy_helper
 
 from rigsmith_models.artifact import FORBIDDEN_OPERATORS, INDICES, SHAPES, described, self_test, session
 from rigsmith_models.committee import Committee
-from rigsmith_models.folding import folded
+from rigsmith_models.folding import folded, silence_dead_channels
 from rigsmith_models.networks import NETWORKS
 from rigsmith_models.train.joint_stage import JointStage
 from rigsmith_models.train.skeleton_stage import SkeletonStage
@@ -163,6 +163,7 @@ def export_one(name: str, joint_stage: bool, untrained: bool) -> dict | None:
     network, settings, training = trained(name, joint_stage)
     if training is None and not untrained:
         return None
+    network = silence_dead_channels(network)
     path = ARTIFACTS / f"{name}.onnx"
     temporary = path.with_suffix(".tmp")
     to_onnx(network, temporary)

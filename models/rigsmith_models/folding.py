@@ -8,6 +8,8 @@ from torch import nn
 
 from .layers import EdgeConv
 
+DEAD_VARIANCE = 1e-9
+
 
 class FoldedEdgeConv(nn.Module):
     """EdgeConv in evaluation mode, with nothing per edge but one sum, one ReLU and one matrix product. Exact.
@@ -76,6 +78,18 @@ def folded(network: nn.Module) -> nn.Module:
     for name, module in list(network.named_modules()):
         if isinstance(module, nn.BatchNorm1d):
             replace_module(network, name, FoldedNorm(module))
+    return network
+
+
+def silence_dead_channels(network: nn.Module) -> nn.Module:
+    """Channels whose values never varied in training say their constant, whatever comes; in place.
+
+    Normalisation divides by their deviation, nearly zero: on a shape unlike all training ones such a channel would fire hundreds of times too loud.
+    """
+    for module in network.modules():
+        if isinstance(module, nn.BatchNorm1d):
+            with torch.no_grad():
+                module.weight[module.running_var < DEAD_VARIANCE] = 0
     return network
 
 
