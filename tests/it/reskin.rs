@@ -176,7 +176,7 @@ fn a_skeleton_of_another_file_keeps_turned_joints_and_sockets() {
         assert!(pairs.into_iter().all(|(a, b)| (a - b).abs() < 1e-6), "{name}: {local:?} became {:?}", found[name].1);
     }
     // Turned joints weigh as unturned ones in the same places.
-    let plain = skin("rigged.rig.json", "plain");
+    let plain = skin("rigged.glb", "plain");
     assert_ne!(given, plain);
     let rows = |stem: &str| weights(&read_json(folder.path(), &format!("{stem}.rig.json")));
     assert!(rows("given").iter().zip(&rows("plain")).all(|(a, b)| difference(a, b) < 1e-4));
