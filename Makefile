@@ -74,7 +74,7 @@ fuzz: ## every decoder under the fuzzer for MINUTES each (needs cargo-fuzz)
 
 .PHONY: bench
 bench: ort ## time and memory per stage, beside this machine's matrix-product rate
-	$(CARGO) bench --locked --bench pipeline
+	$(CARGO) bench --locked --bench pipeline --bench hollow_distance
 	$(CARGO) bench --locked --bench geometry --bench rig
 
 # ---- networks (models/README.md; these need PyTorch) ------------------------------------------------------------------

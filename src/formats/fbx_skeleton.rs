@@ -6,7 +6,8 @@
 use super::fbx::FORMAT;
 use super::old_rig::{GraphNode, OldRig, row_of, skeleton_of};
 use super::rig_json::RigFileError;
-use super::scene::{SceneSkeleton, SkeletonNode};
+use super::scene::{SHEARED, SceneSkeleton, SkeletonNode, parts_of};
+use super::skeleton_nodes::{FileNode, about_joints};
 use super::{DecodeError, Limits, Place};
 use crate::rig::{Influence, Skeleton};
 use glam::{DMat4, DVec3};
@@ -14,8 +15,6 @@ use std::collections::{BTreeMap, BTreeSet};
 
 /// A vertex that its skin moves by no more than this part of the mesh's size is at rest.
 const AT_REST: f64 = 1e-5;
-/// A transform of translation, rotation and scale comes back from its parts within this.
-const SHEAR: f64 = 1e-4;
 
 /// The nodes of a file and the joints among them.
 pub(super) struct FbxSkeleton {
@@ -79,15 +78,12 @@ impl FbxSkeleton {
         let nodes = (0..self.of.len()).map(|index| {
             let above = self.parents[index].map_or(DMat4::IDENTITY, |parent| self.world[parent]);
             let local = above.inverse() * self.world[index];
-            let (scale, rotation, translation) = local.to_scale_rotation_translation();
-            let again = DMat4::from_scale_rotation_translation(scale, rotation, translation);
-            let is_whole = again.is_finite() && again.abs_diff_eq(local, SHEAR * largest(&local));
             let name = self.names[index].clone();
-            if is_whole && self.world[index].inverse().is_finite() {
-                Ok(SkeletonNode { name, parent: self.parents[index], local })
-            } else {
-                let problem = "its transform is not made of a translation, a rotation and a scale".to_owned();
-                Err(RigFileError::Scale { name, problem })
+            match parts_of(&local).filter(|_| self.world[index].inverse().is_finite()) {
+                Some((scale, rotation, translation)) => {
+                    Ok(SkeletonNode { name, parent: self.parents[index], translation, rotation, scale })
+                }
+                None => Err(RigFileError::Scale { name, problem: SHEARED.to_owned() }),
             }
         });
         Ok(SceneSkeleton {
@@ -95,6 +91,15 @@ impl FbxSkeleton {
             joints: self.joints.clone(),
             places: self.places(),
         })
+    }
+
+    /// Those of the nodes that stand above, between or under joints.
+    fn nodes_about_joints(&self) -> Result<SceneSkeleton, RigFileError> {
+        let joint_of = |node: usize| self.joint_nodes.iter().position(|other| *other == node);
+        // A node that only carries a mesh is none of `of`, unless it holds others together.
+        let nodes = self.scene_skeleton()?.nodes.into_iter().enumerate();
+        let nodes = nodes.map(|(at, node)| FileNode { node, joint: joint_of(at), has_mesh: false });
+        about_joints(nodes.collect(), self.joints.iter().filter_map(|&node| joint_of(node)).collect(), &self.skeleton)
     }
 
     /// Place among the joints of the skin of each joint of the skeleton.
@@ -121,15 +126,17 @@ impl FbxSkeleton {
     }
 }
 
-/// Reads the skeleton of an FBX file, for a sender who has a skeleton of their own.
-pub fn read_skeleton(bytes: &[u8], limits: &Limits) -> Result<Skeleton, RigFileError> {
+/// Reads the skeleton of an FBX file, and the nodes about it, for a sender who has a skeleton of their own.
+pub fn read_skeleton(bytes: &[u8], limits: &Limits) -> Result<(Skeleton, SceneSkeleton), RigFileError> {
     let unreadable = |problem: String| RigFileError::Unreadable { problem };
     let root = super::fbx::load(bytes, limits).map_err(|error| unreadable(error.to_string()))?;
     let (found, limit) = (root.nodes.count as u64, limits.nodes_max as u64);
     if found > limit {
         return Err(unreadable(DecodeError::TooMany { what: "nodes", found, limit }.to_string()));
     }
-    FbxSkeleton::read(&root)?.map(|read| read.skeleton).ok_or(RigFileError::NoJoints)
+    let read = FbxSkeleton::read(&root)?.ok_or(RigFileError::NoJoints)?;
+    let nodes = read.nodes_about_joints()?;
+    Ok((read.skeleton, nodes))
 }
 
 /// How the skin of a mesh moves each of its vertices to the world in the file's pose. `None` where it leaves the vertices where
@@ -204,8 +211,4 @@ fn matrix(m: &ufbx::Matrix) -> DMat4 {
     DMat4::from_cols_array(&[
         m.m00, m.m10, m.m20, 0.0, m.m01, m.m11, m.m21, 0.0, m.m02, m.m12, m.m22, 0.0, m.m03, m.m13, m.m23, 1.0,
     ])
-}
-
-fn largest(matrix: &DMat4) -> f64 {
-    matrix.to_cols_array().into_iter().map(f64::abs).fold(1.0, f64::max)
 }

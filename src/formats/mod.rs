@@ -24,6 +24,7 @@ pub mod rignet_text;
 mod scene;
 mod scene_builder;
 mod siblings;
+mod skeleton_nodes;
 mod soundness;
 pub mod stl;
 mod text;
@@ -35,7 +36,7 @@ pub use error::{DecodeError, ExceededLimit, Place};
 pub use fbx_skeleton::read_skeleton as read_fbx_skeleton;
 pub use limits::Limits;
 pub use old_rig::OldRig;
-pub use scene::{Alpha, Image, ImageType, Material, Scene, SceneNode, ScenePrimitive};
+pub use scene::{Alpha, Image, ImageType, Material, Scene, SceneNode, ScenePrimitive, SceneSkeleton};
 pub use siblings::{NoSiblings, Siblings, relative_name};
 
 use crate::mesh::Mesh;

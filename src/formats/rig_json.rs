@@ -3,14 +3,17 @@
 //! ```text
 //! {"format": "rigsmith.rig/1", "method": …,
 //!  "joints": [{"name": …, "parent": null | index, "position": [x, y, z]} …],
+//!  "nodes": […], "skin_order": […],
 //!  "skins": [{"mesh": i, "primitive": j, "joints": [[…] …], "weights": [[…] …]} …],
 //!  "report": {…}}
 //! ```
 //! Parents precede children; positions are in upload space. One skin per part of the asset, one row per vertex: file
-//! vertices in file order, or for glTF a primitive's vertices in accessor order.
+//! vertices in file order, or for glTF a primitive's vertices in accessor order. `nodes` and `skin_order` are there for skeletons
+//! that came with turned joints or further nodes ([`super::skeleton_nodes`]).
 
-use super::Asset;
 use super::gltf::{self, JointNames};
+use super::skeleton_nodes::{self, NodeEntry};
+use super::{Asset, SceneSkeleton};
 use crate::rig::{Influence, Joint, Rig, Skeleton, SkinWeights};
 use glam::DVec3;
 use serde::ser::Serializer;
@@ -25,6 +28,8 @@ pub const FORMAT: &str = "rigsmith.rig/1";
 pub struct RigFile {
     pub method: String,
     pub skeleton: Skeleton,
+    /// How its joints are turned and what stands about them, where the file says so.
+    pub nodes: Option<SceneSkeleton>,
     pub skins: Vec<PartSkin>,
     pub report: Value,
 }
@@ -69,6 +74,10 @@ pub enum RigFileError {
     TooManyJoints { found: usize },
     #[error("joint {joint} ({name:?}): {problem}")]
     Joint { joint: usize, name: String, problem: String },
+    #[error("node {node}: {problem}")]
+    Node { node: usize, problem: String },
+    #[error("skin_order: joint {joint} stands there twice, or does not exist")]
+    SkinOrder { joint: usize },
     #[error("skin {skin}, vertex {vertex}: {problem}")]
     Weights { skin: usize, vertex: usize, problem: String },
 }
@@ -85,6 +94,8 @@ impl RigFileError {
             | Self::NoJoints
             | Self::TooManyJoints { .. }
             | Self::Joint { .. }
+            | Self::Node { .. }
+            | Self::SkinOrder { .. }
             | Self::Weights { .. } => "skeleton_invalid",
         }
     }
@@ -102,6 +113,10 @@ impl RigFileError {
             Self::Joint { .. } => {
                 "list parents before their children, one root first, with unique names and finite positions"
             }
+            Self::Node { .. } => {
+                "list nodes with parents first, each joint once and below its parent, or leave `nodes` out: joints are then not turned"
+            }
+            Self::SkinOrder { .. } => "list each joint at most once, or leave `skin_order` out",
             Self::Weights { .. } => "give each vertex as many joints as weights, and at least one weight above zero",
         }
     }
@@ -112,6 +127,10 @@ struct Written<'a> {
     format: &'static str,
     method: &'a str,
     joints: Vec<WrittenJoint<'a>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    nodes: Option<Vec<NodeEntry>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    skin_order: Option<Vec<usize>>,
     skins: Vec<WrittenSkin<'a>>,
     report: &'a Value,
 }
@@ -141,8 +160,17 @@ fn weight_rows<S: Serializer>(rows: &&[Vec<Influence>], serializer: S) -> Result
     serializer.collect_seq(rows.iter().map(|row| row.iter().map(|influence| influence.weight).collect::<Vec<_>>()))
 }
 
-/// Writes `rig`, whose rows are those of the asset's mesh. Joints have the names that they have in the glTF output.
-pub fn write(asset: &Asset, rig: &Rig, names: JointNames, method: &str, report: &Value) -> Vec<u8> {
+/// Writes `rig`, whose rows are those of the asset's mesh. Joints have the names that they have in the glTF output; `nodes` are
+/// those that came with the skeleton.
+pub fn write(
+    asset: &Asset,
+    rig: &Rig,
+    nodes: Option<&SceneSkeleton>,
+    names: JointNames,
+    method: &str,
+    report: &Value,
+) -> Vec<u8> {
+    let (nodes, skin_order) = nodes.map(skeleton_nodes::entries).unzip();
     let names = gltf::joint_names(asset, &rig.skeleton, names);
     let joint =
         |(joint, name): (&Joint, _)| WrittenJoint { name, parent: joint.parent, position: joint.position.to_array() };
@@ -154,6 +182,8 @@ pub fn write(asset: &Asset, rig: &Rig, names: JointNames, method: &str, report: 
         format: FORMAT,
         method,
         joints: rig.skeleton.joints.iter().zip(names.iter().map(String::as_str)).map(joint).collect(),
+        nodes,
+        skin_order: skin_order.flatten(),
         skins: skins.collect(),
         report,
     };
@@ -161,10 +191,16 @@ pub fn write(asset: &Asset, rig: &Rig, names: JointNames, method: &str, report: 
 }
 
 /// A skeleton without a mesh, in the same layout: what [`read`] needs to give it back, and its weights where there are `rows`.
-pub fn skeleton_json(skeleton: &Skeleton, rows: &[Vec<Influence>]) -> Value {
+pub fn skeleton_json(skeleton: &Skeleton, nodes: Option<&SceneSkeleton>, rows: &[Vec<Influence>]) -> Value {
     let joint =
         |joint: &Joint| json!({ "name": joint.name, "parent": joint.parent, "position": joint.position.to_array() });
     let mut file = json!({ "format": FORMAT, "joints": skeleton.joints.iter().map(joint).collect::<Vec<_>>() });
+    if let Some((nodes, skin_order)) = nodes.map(skeleton_nodes::entries) {
+        file["nodes"] = json!(nodes);
+        if let Some(skin_order) = skin_order {
+            file["skin_order"] = json!(skin_order);
+        }
+    }
     if !rows.is_empty() {
         file["skins"] = json!([WrittenSkin { mesh: 0, primitive: 0, joints: rows, weights: rows }]);
     }
@@ -177,6 +213,8 @@ struct Read {
     #[serde(default)]
     method: String,
     joints: Vec<ReadJoint>,
+    nodes: Option<Vec<NodeEntry>>,
+    skin_order: Option<Vec<usize>>,
     #[serde(default)]
     skins: Vec<ReadSkin>,
     #[serde(default)]
@@ -211,9 +249,10 @@ pub fn read(bytes: &[u8]) -> Result<RigFile, RigFileError> {
         return Err(RigFileError::Format { found: shown(&read.format) });
     }
     let skeleton = skeleton(read.joints)?;
+    let nodes = read.nodes.map(|nodes| skeleton_nodes::read(nodes, read.skin_order, &skeleton)).transpose()?;
     let joints = skeleton.joints.len();
     let skins = read.skins.into_iter().enumerate().map(|(index, skin)| part_skin(index, skin, joints));
-    Ok(RigFile { method: read.method, skins: skins.collect::<Result<_, _>>()?, skeleton, report: read.report })
+    Ok(RigFile { method: read.method, skins: skins.collect::<Result<_, _>>()?, skeleton, nodes, report: read.report })
 }
 
 fn shown(text: &str) -> String {

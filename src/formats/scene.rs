@@ -4,7 +4,7 @@
 //! That row index is the kept map from split vertices back to file vertices: skin weights are computed per row and
 //! copied to every split, so seams never open.
 
-use glam::DMat4;
+use glam::{DMat4, DQuat, DVec3};
 
 /// The parts of a file that its format calls objects, groups or meshes, and their looks.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -24,7 +24,7 @@ pub struct SceneSkeleton {
     pub nodes: Vec<SkeletonNode>,
     /// Index in `nodes` of each joint of the skin.
     pub joints: Vec<usize>,
-    /// `[J]`: place in `joints` of each joint of [`OldRig::skeleton`](super::OldRig).
+    /// `[J]`: place in `joints` of each joint of the [`Skeleton`](crate::rig::Skeleton) that comes with it.
     pub places: Vec<Option<u32>>,
 }
 
@@ -33,8 +33,31 @@ pub struct SceneSkeleton {
 pub struct SkeletonNode {
     pub name: String,
     pub parent: Option<usize>,
-    /// Relative to the parent: a translation, a rotation and a scale, in upload space's unit.
-    pub local: DMat4,
+    /// Relative to the parent, in upload space's unit, as are the rotation and the scale.
+    pub translation: DVec3,
+    /// A unit quaternion.
+    pub rotation: DQuat,
+    pub scale: DVec3,
+}
+
+impl SkeletonNode {
+    /// The transform to the parent's space.
+    pub fn local(&self) -> DMat4 {
+        DMat4::from_scale_rotation_translation(self.scale, self.rotation, self.translation)
+    }
+}
+
+/// A transform of translation, rotation and scale comes back from its parts within this.
+const SHEAR: f64 = 1e-4;
+/// What is wrong with a transform that has no such parts.
+pub(super) const SHEARED: &str = "its transform is not made of a translation, a rotation and a scale";
+
+/// Scale, rotation and translation of a transform that is made of them.
+pub(super) fn parts_of(local: &DMat4) -> Option<(DVec3, DQuat, DVec3)> {
+    let (scale, rotation, translation) = local.to_scale_rotation_translation();
+    let again = DMat4::from_scale_rotation_translation(scale, rotation, translation);
+    let largest = local.to_cols_array().into_iter().map(f64::abs).fold(1.0, f64::max);
+    (again.is_finite() && again.abs_diff_eq(*local, SHEAR * largest)).then_some((scale, rotation, translation))
 }
 
 /// One named mesh.

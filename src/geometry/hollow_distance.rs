@@ -14,8 +14,9 @@
 //! mesh cell that touches a hollow cell not yet met, and passes the surface there: so bones outside the body and parts that do not
 //! hang together are reached. A vertex is as far as the cell before its own, plus the straight way from that cell's middle.
 //!
-//! All bones are searched at once, layer by layer, one bit per bone and 64 bones a word: O(C · L · ⌈B/64⌉), C the cells that
-//! are met, L at most the bones of a word or the layers, whichever is less. Words in parallel; same bits for any number of threads.
+//! All bones are searched at once, layer by layer, one bit per bone and 64 bones a word, and a layer spreads over whole lines of
+//! cells: O(C · L · ⌈B/64⌉), C the cells of lines that are met, L at most the layers that a line takes to be met by all. Words in
+//! parallel; same bits for any number of threads.
 //! # Choices where the paper is silent
 //! - Five layers in turn spread over faces, all 26 neighbours, faces, all, faces. A way of that kind is at most 4 % shorter and
 //!   5 % longer than the straight one in open space; over faces alone it would be up to 73 % longer.
@@ -25,9 +26,8 @@
 
 use super::hollow_search::{Met, NEVER, Search};
 use super::surface_voxels::Lattice;
-use super::volumetric_geodesic::{Segment, bone_euclid, nearest_on_segment};
+use super::volumetric_geodesic::Segment;
 use crate::mesh::Mesh;
-use glam::DVec3;
 use rayon::prelude::*;
 
 /// Cells along the longest side unless asked otherwise (the paper's).
@@ -37,39 +37,50 @@ pub const HOLLOW_RESOLUTION_MAX: usize = 256;
 pub(super) const WORD: usize = 64;
 
 /// HollowDist from every vertex of `mesh` to every bone, `[V, B]`; `resolution` cells along the longest side.
-pub fn hollow_distance(mesh: &Mesh, bones: &[Segment], resolution: usize) -> Vec<f32> {
-    let mut distances = bone_euclid(&mesh.positions, bones);
-    let Some(lattice) = Lattice::around(mesh, resolution.clamp(1, HOLLOW_RESOLUTION_MAX)) else { return distances };
+///
+/// `straight` are the straight distances of the same vertices and bones ([`super::volumetric_geodesic::bone_euclid`]), which are
+/// made longer in place: the answer is the greater part of the memory.
+pub fn hollow_distance(mesh: &Mesh, bones: &[Segment], straight: Vec<f32>, resolution: usize) -> Vec<f32> {
+    let mut distances = straight;
+    let lattice = Lattice::around(mesh, resolution.clamp(1, HOLLOW_RESOLUTION_MAX));
+    let Some(lattice) = lattice.filter(|_| !bones.is_empty()) else { return distances };
     let field = Field::new(&lattice, mesh);
+    let mut rows = field.rows(&mut distances, bones.len());
     // As many words at once as there are threads: what each has met is the greater part of the memory, beside the result.
     let words_at_once = rayon::current_num_threads().max(1);
     for (group, bones_of_group) in bones.chunks(WORD * words_at_once).enumerate() {
         let words: Vec<Searched> = bones_of_group.par_chunks(WORD).map(|word| field.searched(word)).collect();
         let first = group * WORD * words_at_once;
-        let rows = distances.par_chunks_exact_mut(bones.len()).enumerate();
-        rows.for_each(|(vertex, row)| field.lengthen(vertex, &words, &mut row[first..][..bones_of_group.len()]));
+        let cells = rows.par_chunk_by_mut(|one, other| one.cell == other.cell);
+        cells.for_each(|rows_of_cell| field.lengthen(rows_of_cell, &words, first));
     }
     distances
 }
 
 /// When up to 64 bones met the cells around the vertices.
 struct Searched {
-    /// In cell coordinates.
-    bones: Vec<Segment>,
     /// How far each bone is from the cells it began in.
     offsets: Vec<f64>,
     /// `[kept, bones]`
     met: Vec<Met>,
 }
 
+/// The distances of one vertex.
+struct Row<'a> {
+    /// As a number in `kept`.
+    cell: u32,
+    vertex: u32,
+    /// `[B]`
+    distances: &'a mut [f32],
+}
+
 /// The grid of one mesh, and where its vertices are in it.
 pub(super) struct Field<'a> {
     pub lattice: &'a Lattice,
+    mesh: &'a Mesh,
     pub is_mesh: Vec<bool>,
     /// Offsets between indices of neighbours: the first six share a face.
     pub steps: [isize; 26],
-    /// In cell coordinates. `[V]`
-    vertices: Vec<DVec3>,
     /// The cell of each vertex, as a number in `kept`. `[V]`
     cell_of_vertex: Vec<u32>,
     /// Cells whose layers are kept: mesh cells, and the neighbours of cells that hold a vertex. Ascending.
@@ -82,64 +93,89 @@ pub(super) struct Field<'a> {
 }
 
 impl<'a> Field<'a> {
-    fn new(lattice: &'a Lattice, mesh: &Mesh) -> Self {
+    fn new(lattice: &'a Lattice, mesh: &'a Mesh) -> Self {
         let is_mesh = lattice.surface(mesh);
-        let steps = steps(lattice);
-        let vertices: Vec<DVec3> = mesh.positions.iter().map(|&position| lattice.to_cells(position)).collect();
-        let cells: Vec<usize> = vertices.iter().map(|&vertex| lattice.holding(vertex)).collect();
         let mut wanted = is_mesh.clone();
-        for &cell in &cells {
-            wanted[cell] = true;
-            steps.iter().for_each(|&step| wanted[cell.wrapping_add_signed(step)] = true);
+        let steps = steps(lattice);
+        let cell_of = |&position| lattice.holding(lattice.to_cells(position)) as u32;
+        let mut cell_of_vertex: Vec<u32> = mesh.positions.iter().map(cell_of).collect();
+        for &cell in &cell_of_vertex {
+            wanted[cell as usize] = true;
+            steps.iter().for_each(|&step| wanted[(cell as usize).wrapping_add_signed(step)] = true);
         }
         let kept: Vec<u32> = (0..wanted.len()).filter(|&cell| wanted[cell]).map(|cell| cell as u32).collect();
         let mut number = vec![u32::MAX; wanted.len()];
         kept.iter().enumerate().for_each(|(at, &cell)| number[cell as usize] = at as u32);
-        let cell_of_vertex: Vec<u32> = cells.iter().map(|&cell| number[cell]).collect();
         let mut holds_vertex = vec![false; kept.len()];
-        cell_of_vertex.iter().for_each(|&cell| holds_vertex[cell as usize] = true);
+        for cell in &mut cell_of_vertex {
+            *cell = number[*cell as usize];
+            holds_vertex[*cell as usize] = true;
+        }
         let holding_count = holds_vertex.iter().filter(|holds| **holds).count() as u32;
-        Self { lattice, is_mesh, steps, vertices, cell_of_vertex, kept, number, holds_vertex, holding_count }
+        Self { lattice, mesh, is_mesh, steps, cell_of_vertex, kept, number, holds_vertex, holding_count }
+    }
+
+    /// The rows of `distances`, those of one cell side by side.
+    fn rows<'d>(&self, distances: &'d mut [f32], bone_count: usize) -> Vec<Row<'d>> {
+        let rows = distances.chunks_exact_mut(bone_count).zip(&self.cell_of_vertex).zip(0..);
+        let mut rows: Vec<Row> = rows.map(|((distances, &cell), vertex)| Row { cell, vertex, distances }).collect();
+        rows.sort_unstable_by_key(|row| (row.cell, row.vertex));
+        rows
     }
 
     /// Searches from up to 64 bones.
     fn searched(&self, bones: &[Segment]) -> Searched {
-        let bones: Vec<Segment> =
-            bones.iter().map(|&(start, end)| (self.lattice.to_cells(start), self.lattice.to_cells(end))).collect();
         let mut search = Search::new(self, bones.len());
-        let offsets: Vec<f64> = bones.iter().enumerate().map(|(at, &bone)| search.begin(at, bone)).collect();
+        let to_cells = |&(start, end): &Segment| (self.lattice.to_cells(start), self.lattice.to_cells(end));
+        let offsets = bones.iter().map(to_cells).enumerate().map(|(at, bone)| search.begin(at, bone)).collect();
         search.run();
-        Searched { bones, offsets, met: search.when }
+        Searched { offsets, met: search.when }
     }
 
-    /// Makes the straight distances of a vertex to the bones of `words` as long as the ways that were found.
-    fn lengthen(&self, vertex: usize, words: &[Searched], distances: &mut [f32]) {
-        let (own, place) = (self.cell_of_vertex[vertex] as usize, self.vertices[vertex]);
+    /// Makes the straight distances of the vertices of one cell to the bones of `words`, of which `first` is the first, as long as
+    /// the ways that were found.
+    fn lengthen(&self, rows: &mut [Row], words: &[Searched], first: usize) {
+        let Some(own) = rows.first().map(|row| row.cell as usize) else { return };
         let cell = self.kept[own] as usize;
-        // The cells before this one, and the last step from each: the same for every bone.
-        let before: [(usize, f64); 26] = self.steps.map(|step| {
-            let previous = cell.wrapping_add_signed(step);
-            (self.number[previous] as usize, place.distance(self.lattice.centre(previous)))
-        });
-        for (word, distances) in words.iter().zip(distances.chunks_mut(WORD)) {
-            let count = word.bones.len();
+        let neighbours = self.steps.map(|step| cell.wrapping_add_signed(step));
+        let centres = neighbours.map(|neighbour| self.lattice.centre(neighbour));
+        let numbers = neighbours.map(|neighbour| self.number[neighbour] as usize);
+        for (word, first) in words.iter().zip((first..).step_by(WORD)) {
+            let count = word.offsets.len();
             let here = &word.met[own * count..][..count];
-            let mut best = [f64::INFINITY; WORD];
-            for (number, step) in before {
+            // By how many layers each bone met a neighbour before this cell (small numbers, which single precision holds).
+            let mut before = [[f32::INFINITY; WORD]; 26];
+            for (before, number) in before.iter_mut().zip(numbers) {
                 let there = &word.met[number * count..][..count];
-                for ((best, here), there) in best.iter_mut().zip(here).zip(there) {
-                    let is_before = there.start <= here.start && there.layer < here.layer;
-                    let way = if is_before { f64::from(there.layer) + step } else { f64::INFINITY };
-                    *best = best.min(way);
+                for ((before, here), there) in before.iter_mut().zip(here).zip(there) {
+                    if there.start <= here.start && there.layer < here.layer {
+                        *before = -f32::from(here.layer - there.layer);
+                    }
                 }
             }
-            for (bone, (distance, here)) in distances.iter_mut().zip(here).enumerate() {
-                let way = if here.layer == 0 || *here == NEVER {
-                    place.distance(nearest_on_segment(place, word.bones[bone]))
-                } else {
-                    word.offsets[bone] + best[bone]
-                };
-                *distance = distance.max((way * self.lattice.cell) as f32);
+            // Nothing is farther than straight in the cells where a bone begins, and in those that it never met.
+            let mut own_ways = [f64::NEG_INFINITY; WORD];
+            for ((way, here), offset) in own_ways.iter_mut().zip(here).zip(&word.offsets) {
+                if here.layer != 0 && *here != NEVER {
+                    *way = offset + f64::from(here.layer);
+                }
+            }
+            for row in rows.iter_mut() {
+                let place = self.lattice.to_cells(self.mesh.positions[row.vertex as usize]);
+                let mut last_steps = [f32::INFINITY; WORD];
+                let last_steps = &mut last_steps[..count];
+                for (before, centre) in before.iter().zip(centres) {
+                    let step = place.distance(centre) as f32;
+                    for (least, before) in last_steps.iter_mut().zip(before) {
+                        let way = before + step;
+                        *least = if way < *least { way } else { *least };
+                    }
+                }
+                let distances = &mut row.distances[first..][..count];
+                for ((distance, way), step) in distances.iter_mut().zip(own_ways).zip(last_steps) {
+                    let way = ((way + f64::from(*step)) * self.lattice.cell) as f32;
+                    *distance = if way > *distance { way } else { *distance };
+                }
             }
         }
     }
@@ -157,7 +193,9 @@ fn steps(lattice: &Lattice) -> [isize; 26] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::geometry::volumetric_geodesic::{bone_euclid, nearest_on_segment};
     use crate::mesh::test_shapes::{degenerate, joined, sphere, tube};
+    use glam::DVec3;
     use proptest::prelude::*;
 
     /// One bone at a time, every layer over all cells of the grid, nothing shared with the search above but the grid.
@@ -229,8 +267,12 @@ mod tests {
         places.into_iter().map(|place| way(place) * lattice.cell).collect()
     }
 
+    fn measured(mesh: &Mesh, bones: &[Segment], resolution: usize) -> Vec<f32> {
+        hollow_distance(mesh, bones, bone_euclid(&mesh.positions, bones), resolution)
+    }
+
     fn agrees(mesh: &Mesh, bones: &[Segment], resolution: usize) -> Result<(), TestCaseError> {
-        let found = hollow_distance(mesh, bones, resolution);
+        let found = measured(mesh, bones, resolution);
         for (bone, &segment) in bones.iter().enumerate() {
             for (vertex, expected) in plain(mesh, segment, resolution).into_iter().enumerate() {
                 let found = f64::from(found[vertex * bones.len() + bone]);
@@ -297,7 +339,7 @@ mod tests {
             soles[1].clone(),
         ]);
         let shin = (DVec3::new(0.1, 0.05, 0.0), DVec3::new(0.1, 0.3, 0.0));
-        let distance = hollow_distance(&mesh, &[shin], HOLLOW_RESOLUTION);
+        let distance = measured(&mesh, &[shin], HOLLOW_RESOLUTION);
         let knee = legs[0].positions.iter().position(|place| (place.y - 0.4).abs() < 0.03).unwrap();
         let other = knee + legs[0].positions.len();
         assert!(distance[knee] < 0.15, "{}", distance[knee]);
@@ -311,7 +353,7 @@ mod tests {
         let beside = (DVec3::new(0.0, 0.4, 0.0), DVec3::new(0.1, 0.4, 0.0));
         let far = (DVec3::Y * 50.0, DVec3::Y * 51.0);
         let bones = [(DVec3::ZERO, DVec3::X * 0.1), beside, far];
-        let distance = hollow_distance(&mesh, &bones, HOLLOW_RESOLUTION);
+        let distance = measured(&mesh, &bones, HOLLOW_RESOLUTION);
         let straight = bone_euclid(&mesh.positions, &bones);
         for (own, straight) in distance.iter().zip(&straight) {
             assert!(own.is_finite() && own >= straight && *own < straight + 1.2, "{own} {straight}");
@@ -325,11 +367,11 @@ mod tests {
     fn degenerate_shapes_and_no_bones_are_survived() {
         for mesh in degenerate() {
             let bones = [(DVec3::ZERO, DVec3::X), (DVec3::Y, DVec3::Y)];
-            let distance = hollow_distance(&mesh, &bones, HOLLOW_RESOLUTION);
+            let distance = measured(&mesh, &bones, HOLLOW_RESOLUTION);
             assert_eq!(distance.len(), 2 * mesh.positions.len());
             let straight = bone_euclid(&mesh.positions, &bones);
             assert!(distance.iter().zip(&straight).all(|(own, straight)| own.is_finite() || straight.is_infinite()));
-            assert!(hollow_distance(&mesh, &[], HOLLOW_RESOLUTION).is_empty());
+            assert!(measured(&mesh, &[], HOLLOW_RESOLUTION).is_empty());
         }
     }
 
@@ -340,7 +382,7 @@ mod tests {
             (0..100).map(|at| (DVec3::X * f64::from(at) * 0.01, DVec3::Y * f64::from(at % 7) * 0.1)).collect();
         let with = |threads| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            pool.install(|| hollow_distance(&mesh, &bones, 32))
+            pool.install(|| measured(&mesh, &bones, 32))
         };
         assert_eq!(with(1), with(2));
     }

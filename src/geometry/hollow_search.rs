@@ -3,8 +3,10 @@
 //! In: a [`Field`] (the grid of one mesh). Out: when each bone met each kept cell, `[kept, bones]`.
 
 use super::hollow_distance::{Field, WORD};
+use super::surface_voxels::Lattice;
 use super::volumetric_geodesic::Segment;
 use glam::DVec3;
+use std::ops::Range;
 
 /// Finds every cell that a bone passes for more than a quarter of an edge.
 const SAMPLES_PER_CELL: f64 = 4.0;
@@ -31,14 +33,15 @@ pub(super) struct Search<'a> {
     bone_count: usize,
     /// Bones that have met each cell; all bits where nothing may go. `[cells]`
     met: Vec<u64>,
-    /// Bones about to meet each cell. `[cells]`
-    coming: Vec<u64>,
+    /// Bones that met each cell since the last layer that spread over all neighbours. `[cells]`
+    recent: Vec<u64>,
+    /// Those of them that go on into hollow cells: in hollow cells all, in mesh cells those that begin or start again there. `[cells]`
+    free: Vec<u64>,
+    lines: Lines,
+    /// Bones that met a cell in the last layer.
+    moved: u64,
     /// When each bone met each kept cell. `[kept, bones]`
     pub when: Vec<Met>,
-    /// Cells met in the last layer, and which bones met them there.
-    front: Vec<Front>,
-    /// Cells met since the last layer that spread over all neighbours, for those that come after it.
-    recent: Vec<Front>,
     /// Cells that hold a vertex and have not been met, per bone.
     missing: Vec<u32>,
     /// Bones still searching.
@@ -53,12 +56,129 @@ pub(super) struct Search<'a> {
     waiting: Vec<(u16, usize, u32)>,
 }
 
-#[derive(Clone, Copy)]
-struct Front {
-    cell: u32,
-    bones: u64,
-    /// Whether the way goes on into hollow cells.
-    free: bool,
+/// The grid's lines along its last axis. A layer spreads line by line, which processors do many cells at a time.
+struct Lines {
+    /// Cells of a line.
+    length: usize,
+    /// Offsets between numbers of lines: to itself, to those that share a side with it, to those that share an edge.
+    steps: [isize; 9],
+    /// Lines with recent cells.
+    recent: Vec<u32>,
+    /// The first and the last recent cell of each line; [`NOTHING`] without any. `[lines]`
+    spans: Vec<(u16, u16)>,
+    /// The last layer that looked at each line; never for those at the edge of the grid. `[lines]`
+    looked_at: Vec<u16>,
+}
+
+impl Lines {
+    fn new(lattice: &Lattice) -> Self {
+        let [width, height, length] = lattice.size;
+        let is_edge =
+            |line: usize| [0, width - 1].contains(&(line / height)) || [0, height - 1].contains(&(line % height));
+        let far = height as isize;
+        Self {
+            length,
+            steps: [0, -1, 1, -far, far, -far - 1, -far + 1, far - 1, far + 1],
+            recent: Vec::new(),
+            spans: vec![NOTHING; width * height],
+            looked_at: (0..width * height).map(|line| if is_edge(line) { u16::MAX } else { 0 }).collect(),
+        }
+    }
+
+    /// Notes that a line has recent cells between a first and a last one.
+    fn note(&mut self, line: u32, (first, last): (u16, u16)) {
+        let span = &mut self.spans[line as usize];
+        if *span == NOTHING {
+            self.recent.push(line);
+        }
+        *span = (span.0.min(first), span.1.max(last));
+    }
+
+    /// The lines that a layer can come to, each once.
+    fn reached(&mut self, layer: u16, to_all: bool) -> Vec<u32> {
+        let mut reached = Vec::new();
+        for &line in &self.recent {
+            for &step in &self.steps[..if to_all { 9 } else { 5 }] {
+                let other = (line as usize).wrapping_add_signed(step);
+                if self.looked_at[other] < layer {
+                    self.looked_at[other] = layer;
+                    reached.push(other as u32);
+                }
+            }
+        }
+        reached
+    }
+
+    /// The cells of a line that the lines around it can come to: never the first and the last, which are at the edge of the grid.
+    fn window(&self, line: u32, to_all: bool) -> Range<usize> {
+        let steps = self.steps[..if to_all { 9 } else { 5 }].iter();
+        let spans = steps.map(|&step| self.spans[(line as usize).wrapping_add_signed(step)]);
+        let (first, last) = spans.fold(NOTHING, |all, span| (all.0.min(span.0), all.1.max(span.1)));
+        (usize::from(first).max(2) - 1)..(usize::from(last) + 2).min(self.length - 1)
+    }
+
+    /// The bones of the lines at `steps` from one, in a window and one cell before and behind it.
+    fn around<'b>(&self, line: u32, window: &Range<usize>, bones: &'b [u64]) -> [&'b [u64]; 9] {
+        self.steps.map(|step| {
+            let first = (line as usize).wrapping_add_signed(step) * self.length;
+            &bones[first + window.start - 1..first + window.end + 1]
+        })
+    }
+}
+
+/// No cells of a line.
+const NOTHING: (u16, u16) = (u16::MAX, 0);
+
+/// What a layer came to.
+#[derive(Default)]
+struct Came {
+    /// Lines, and the first and the last cell of each.
+    lines: Vec<(u32, (u16, u16))>,
+    /// Cells, and the bones that met them.
+    cells: Vec<(u32, u64)>,
+}
+
+/// What comes to a window of a line in one layer.
+struct Coming {
+    /// To the cell beside, one cell more on both sides of the window.
+    beside: Vec<u64>,
+    /// To the cell beside, and to the cells before and behind that one; one cell more on both sides.
+    around: Vec<u64>,
+    /// The bones that come to each cell.
+    bones: Vec<u64>,
+}
+
+impl Coming {
+    /// For windows of lines of `length` cells.
+    fn new(length: usize) -> Self {
+        Self { beside: vec![0; length], around: vec![0; length], bones: vec![0; length] }
+    }
+
+    /// `lines` as [`Lines::around`] gives them.
+    fn gather(&mut self, lines: [&[u64]; 9], to_all: bool) -> &[u64] {
+        let [own, low, high, left, right, ..] = lines;
+        let length = own.len();
+        if to_all {
+            unite(lines, &mut self.around[..length]);
+        } else {
+            unite([low, high, left, right], &mut self.beside[..length]);
+            self.around[..length].copy_from_slice(own);
+        }
+        let bones = &mut self.bones[..length - 2];
+        let around = self.around[..length].windows(3).zip(&self.beside[1..]);
+        for (bones, (around, beside)) in bones.iter_mut().zip(around) {
+            *bones = around[0] | around[1] | around[2] | beside;
+        }
+        bones
+    }
+}
+
+/// The bones of several lines together, cell by cell.
+fn unite<const COUNT: usize>(lines: [&[u64]; COUNT], united: &mut [u64]) {
+    let lines = lines.map(|line| &line[..united.len()]);
+    for (at, united) in united.iter_mut().enumerate() {
+        *united = lines.iter().fold(0, |bones, line| bones | line[at]);
+    }
 }
 
 impl<'a> Search<'a> {
@@ -69,10 +189,11 @@ impl<'a> Search<'a> {
             field,
             bone_count,
             met: (0..cells).map(closed).collect(),
-            coming: vec![0; cells],
+            recent: vec![0; cells],
+            free: vec![0; cells],
+            lines: Lines::new(field.lattice),
+            moved: 0,
             when: vec![NEVER; field.kept.len() * bone_count],
-            front: Vec::new(),
-            recent: Vec::new(),
             missing: vec![field.holding_count; bone_count],
             active: if bone_count == WORD { u64::MAX } else { (1 << bone_count) - 1 },
             progress: vec![0; bone_count],
@@ -99,7 +220,8 @@ impl<'a> Search<'a> {
         cells.sort_unstable();
         cells.dedup();
         for cell in cells {
-            self.meet(cell, 1 << bone, 0, true);
+            self.meet(cell, 1 << bone, 0);
+            self.set_free(cell, bone);
         }
         offset
     }
@@ -111,69 +233,99 @@ impl<'a> Search<'a> {
         // Every bone meets a new cell at least once in three layers or starts again, and starts again once per hollow region.
         while self.active != 0 && layer < LAYERS_MAX {
             layer += 1;
-            let all = ROUND[(layer as usize - 1) % ROUND.len()];
-            let sources = if all { std::mem::take(&mut self.recent) } else { std::mem::take(&mut self.front) };
-            self.front.clear();
-            let touched = self.spread(&sources, all);
-            for cell in touched {
-                let bones = std::mem::take(&mut self.coming[cell as usize]) & !self.met[cell as usize];
-                self.meet(cell, bones, layer, !self.field.is_mesh[cell as usize]);
+            let spreads_to_all = ROUND[(layer as usize - 1) % ROUND.len()];
+            let came = self.spread(layer, spreads_to_all);
+            if spreads_to_all {
+                self.forget_recent();
+            }
+            came.lines.into_iter().for_each(|(line, span)| self.lines.note(line, span));
+            for (cell, bones) in came.cells {
+                self.meet(cell, bones, layer);
             }
             self.resume(layer);
             self.retire(layer);
         }
     }
 
-    /// Marks the neighbours that the bones of `sources` come to; returns them, each once.
-    fn spread(&mut self, sources: &[Front], all: bool) -> Vec<u32> {
-        let steps = if all { &self.field.steps[..] } else { &self.field.steps[..6] };
-        let mut touched = Vec::new();
-        for source in sources {
-            let bones = source.bones & self.active;
-            if bones == 0 {
-                continue;
-            }
-            for &step in steps {
-                let cell = (source.cell as usize).wrapping_add_signed(step);
-                if bones & !self.met[cell] != 0 && (source.free || self.field.is_mesh[cell]) {
-                    if self.coming[cell] == 0 {
-                        touched.push(cell as u32);
-                    }
-                    self.coming[cell] |= bones;
+    /// The cells that the bones come to in a layer, over all neighbours or over faces, and which bones come to each. Of the recent
+    /// cells, those before the last layer have spread over their faces already, so they may do so again.
+    fn spread(&mut self, layer: u16, to_all: bool) -> Came {
+        let (length, active) = (self.lines.length, self.active);
+        let (mut from_all, mut from_free) = (Coming::new(length), Coming::new(length));
+        let mut new = vec![0; length];
+        let mut came = Came::default();
+        for line in self.lines.reached(layer, to_all) {
+            let window = self.lines.window(line, to_all);
+            let first = line as usize * length;
+            let cells = first + window.start..first + window.end;
+            let is_mesh = &self.field.is_mesh[cells.clone()];
+            let new = &mut new[..cells.len()];
+            new.copy_from_slice(from_free.gather(self.lines.around(line, &window, &self.free), to_all));
+            if is_mesh.contains(&true) {
+                let from_all = from_all.gather(self.lines.around(line, &window, &self.recent), to_all);
+                for ((new, from_all), is_mesh) in new.iter_mut().zip(from_all).zip(is_mesh) {
+                    *new = if *is_mesh { *from_all } else { *new };
                 }
             }
+            let mut any = 0;
+            for (new, met) in new.iter_mut().zip(&mut self.met[cells.clone()]) {
+                *new &= active & !*met;
+                *met |= *new;
+                any |= *new;
+            }
+            if any != 0 {
+                let before = came.cells.len();
+                let with_new = (cells.start as u32..).zip(&*new).filter(|(_, bones)| **bones != 0);
+                came.cells.extend(with_new.map(|(cell, bones)| (cell, *bones)));
+                let place = |(cell, _): &(u32, u64)| (*cell as usize - first) as u16;
+                let new = &came.cells[before..];
+                came.lines.push((line, (new.first().map_or(0, place), new.last().map_or(0, place))));
+            }
         }
-        touched
+        came
     }
 
-    /// Notes that bones are in a cell from this layer on.
-    fn meet(&mut self, cell: u32, bones: u64, layer: u16, free: bool) {
-        if bones == 0 {
+    fn forget_recent(&mut self) {
+        for line in self.lines.recent.drain(..) {
+            self.lines.spans[line as usize] = NOTHING;
+            let cells = line as usize * self.lines.length..(line as usize + 1) * self.lines.length;
+            self.recent[cells.clone()].fill(0);
+            self.free[cells].fill(0);
+        }
+    }
+
+    /// Lets a bone go on from a cell to all others.
+    fn set_free(&mut self, cell: u32, bone: usize) {
+        self.free[cell as usize] |= 1 << bone;
+        let length = self.lines.length as u32;
+        let place = (cell % length) as u16;
+        self.lines.note(cell / length, (place, place));
+    }
+
+    /// Notes that bones are in a cell of a noted line from this layer on.
+    fn meet(&mut self, cell: u32, bones: u64, layer: u16) {
+        self.met[cell as usize] |= bones;
+        self.recent[cell as usize] |= bones;
+        self.free[cell as usize] |= if self.field.is_mesh[cell as usize] { 0 } else { bones };
+        self.moved |= bones;
+        let number = self.field.number[cell as usize];
+        if number == u32::MAX {
             return;
         }
-        self.met[cell as usize] |= bones;
-        self.front.push(Front { cell, bones, free });
-        self.recent.push(Front { cell, bones, free });
-        let number = self.field.number[cell as usize];
-        let mut rest = bones;
-        while rest != 0 {
-            let bone = rest.trailing_zeros() as usize;
-            rest &= rest - 1;
-            self.progress[bone] = layer;
-            if number != u32::MAX {
-                let met = Met { start: self.starts[bone], layer: layer - self.delay[bone] };
-                self.when[number as usize * self.bone_count + bone] = met;
-                self.missing[bone] -= u32::from(self.field.holds_vertex[number as usize]);
-            }
+        let holds_vertex = u32::from(self.field.holds_vertex[number as usize]);
+        let when = &mut self.when[number as usize * self.bone_count..][..self.bone_count];
+        for bone in bits(bones) {
+            when[bone] = Met { start: self.starts[bone], layer: layer - self.delay[bone] };
+            self.missing[bone] -= holds_vertex;
         }
     }
 
     /// Takes bones out that have met every vertex, and has those start again that have stopped.
     fn retire(&mut self, layer: u16) {
-        let mut rest = self.active;
-        while rest != 0 {
-            let bone = rest.trailing_zeros() as usize;
-            rest &= rest - 1;
+        for bone in bits(std::mem::take(&mut self.moved)) {
+            self.progress[bone] = layer;
+        }
+        for bone in bits(self.active) {
             if self.missing[bone] == 0 {
                 self.active &= !(1 << bone);
             } else if layer - self.progress[bone] >= STOPPED_AFTER && !self.waiting.iter().any(|wait| wait.1 == bone) {
@@ -198,9 +350,7 @@ impl<'a> Search<'a> {
             self.delay[bone] = layer - self.when[number * self.bone_count + bone].layer;
             self.starts[bone] += 1;
             self.progress[bone] = layer;
-            let passing = Front { cell, bones: 1 << bone, free: true };
-            self.front.push(passing);
-            self.recent.push(passing);
+            self.set_free(cell, bone);
         }
     }
 
@@ -221,4 +371,14 @@ impl<'a> Search<'a> {
         }
         best
     }
+}
+
+/// The numbers of the bits of a word.
+fn bits(word: u64) -> impl Iterator<Item = usize> {
+    let mut rest = word;
+    std::iter::from_fn(move || {
+        let bit = (rest != 0).then(|| rest.trailing_zeros() as usize)?;
+        rest &= rest - 1;
+        Some(bit)
+    })
 }

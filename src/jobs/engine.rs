@@ -40,7 +40,6 @@ impl Engine {
         let method = method_of(options)?;
         let choice = choose_skin(options.skin_method, &options.skin_fallback, &self.models)
             .map_err(|error| rig_failure(&error, watch))?;
-        let method_used = report::method_used(method, options, choice);
         let mut upload = Upload::read(file_name, bytes, siblings, options, &self.limits, watch)?;
         let subject = Subject { mesh: &upload.asset.mesh, to_upright: upload.orientation.rotation() };
         let on_stage = |stage| watch.enter(Stage::from(stage));
@@ -55,6 +54,7 @@ impl Engine {
         watch.check()?;
         watch.enter(Stage::Export);
         upload.findings.extend(report::findings(&rigged, choice));
+        let method_used = report::method_used(method, options, choice, &rigged.facts);
         let facts = report::facts(method, options, choice, &upload, &rigged, &self.models);
         let artifacts = options
             .outputs
@@ -264,7 +264,9 @@ fn encode(
     facts: &serde_json::Map<String, serde_json::Value>,
 ) -> Result<Artifact, JobError> {
     let names = if wanted.keeps_skeleton() { JointNames::AsGiven } else { JointNames::Plain };
-    encode_rig(output, asset, &rigged.rig, names, wanted.max_influences, method, facts)
+    let nodes = wanted.skeleton.as_ref().and_then(|given| given.nodes.clone());
+    let options = EncodeOptions { influences_max: wanted.max_influences, names, nodes, ..EncodeOptions::default() };
+    encode_rig(output, asset, &rigged.rig, &options, method, facts)
 }
 
 /// One file of a rig. `facts` go into `rig.json`.
@@ -272,8 +274,7 @@ pub(super) fn encode_rig(
     output: Output,
     asset: &Asset,
     rig: &Rig,
-    names: JointNames,
-    influences_max: usize,
+    options: &EncodeOptions,
     method: &str,
     facts: &serde_json::Map<String, serde_json::Value>,
 ) -> Result<Artifact, JobError> {
@@ -282,11 +283,12 @@ pub(super) fn encode_rig(
             .at(Stage::Export)
             .hint("report this as a bug, with the file")
     };
-    let options = EncodeOptions { influences_max, names, ..EncodeOptions::default() };
     let bytes = match output {
-        Output::Glb => encode_glb(asset, rig, &options).map_err(|error| invalid(error.to_string()))?,
-        Output::Gltf => encode_gltf(asset, rig, &options).map_err(|error| invalid(error.to_string()))?,
-        Output::RigJson => rig_json::write(asset, rig, names, method, &facts.clone().into()),
+        Output::Glb => encode_glb(asset, rig, options).map_err(|error| invalid(error.to_string()))?,
+        Output::Gltf => encode_gltf(asset, rig, options).map_err(|error| invalid(error.to_string()))?,
+        Output::RigJson => {
+            rig_json::write(asset, rig, options.nodes.as_ref(), options.names, method, &facts.clone().into())
+        }
         Output::RignetTxt => rignet_text::write(asset, rig).into_bytes(),
         Output::PreviewPng => preview::preview_png(&asset.mesh, rig, &PreviewOptions::default()),
     };

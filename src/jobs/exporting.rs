@@ -9,7 +9,7 @@ use super::perform::{Artifact, RigRequest};
 use super::queue::Jobs;
 use super::submission::{Missing, Refusal};
 use super::worker;
-use crate::formats::gltf::JointNames;
+use crate::formats::gltf::{EncodeOptions, JointNames};
 use crate::formats::rig_json;
 use serde_json::{Map, Value};
 use std::time::Duration;
@@ -45,7 +45,7 @@ pub fn export_file(request: &RigRequest, rig: &[u8], output: Output) -> Result<A
     let unusable = |cause: String| JobError::new(ErrorCode::OutputInvalid, cause).hint("rig the mesh again");
     let asset = decoded(request)?;
     let file = rig_json::read(rig).map_err(|error| unusable(error.to_string()))?;
-    let (method, report) = (file.method.clone(), file.report.clone());
+    let (method, report, nodes) = (file.method.clone(), file.report.clone(), file.nodes.clone());
     let rig = file.into_rig();
     let (rows, vertices) = (rig.skin.rows.len(), asset.mesh.positions.len());
     if rows != vertices {
@@ -56,7 +56,9 @@ pub fn export_file(request: &RigRequest, rig: &[u8], output: Output) -> Result<A
         _ => Map::new(),
     };
     // Its names are those that the first files have.
-    encode_rig(output, &asset, &rig, JointNames::AsGiven, request.options.max_influences, &method, &report)
+    let influences_max = request.options.max_influences;
+    let options = EncodeOptions { influences_max, names: JointNames::AsGiven, nodes, ..EncodeOptions::default() };
+    encode_rig(output, &asset, &rig, &options, &method, &report)
 }
 
 #[cfg(test)]

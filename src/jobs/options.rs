@@ -2,9 +2,10 @@
 
 pub use super::options_reader::{FieldError, FieldProblem, OptionsReader};
 pub use crate::formats::ExistingRigPolicy;
-use crate::formats::{Axis, rig_json};
+use crate::formats::rig_json::RigFile;
+use crate::formats::{Axis, SceneSkeleton, rig_json};
 pub use crate::pipelines::{Fingers, LevelOfDetail, Skeleton, SkinMethod, Symmetry};
-use crate::rig::Influence;
+use crate::rig::{Influence, Rig};
 use serde_json::Value;
 use std::sync::Arc;
 
@@ -79,8 +80,25 @@ impl Default for RigOptions {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct GivenSkeleton {
     pub skeleton: Skeleton,
+    /// How its joints are turned and what stands about them, where its file says so.
+    pub nodes: Option<SceneSkeleton>,
     /// One row per vertex of the mesh over the joints of the skeleton; none where no joint is locked.
     pub rows: Vec<Vec<Influence>>,
+}
+
+impl GivenSkeleton {
+    /// The shortest `rigsmith.rig/1` file that holds it.
+    pub fn to_json(&self) -> Value {
+        rig_json::skeleton_json(&self.skeleton, self.nodes.as_ref(), &self.rows)
+    }
+}
+
+impl From<RigFile> for GivenSkeleton {
+    fn from(file: RigFile) -> Self {
+        let nodes = file.nodes.clone();
+        let Rig { skeleton, skin } = file.into_rig();
+        Self { skeleton, nodes, rows: skin.rows }
+    }
 }
 
 impl RigOptions {
@@ -104,7 +122,7 @@ impl RigOptions {
             "skin_method": skin_method_name(self.skin_method),
             "boxes": self.boxes.name(),
             "skin_fallback": self.skin_fallback.iter().map(|method| method.name()).collect::<Vec<_>>(),
-            "skeleton": self.skeleton.as_deref().map(|given| rig_json::skeleton_json(&given.skeleton, &given.rows)),
+            "skeleton": self.skeleton.as_deref().map(|given| given.to_json()),
             "non_deforming": self.non_deforming,
             "locked_joints": self.locked_joints,
             "max_influences": self.max_influences,

@@ -4,9 +4,8 @@
 use super::joint_pattern::{PATTERN_LENGTH_MAX, PATTERNS_MAX};
 use super::options::{ExistingRigPolicy, GivenSkeleton, Output, RigOptions, Words, axis_name};
 use crate::formats::Axis;
-use crate::formats::rig_json::{self, RigFile};
+use crate::formats::rig_json;
 use crate::pipelines::LevelOfDetail;
-use crate::rig::Rig;
 use serde_json::Value;
 use std::fmt;
 use std::ops::RangeInclusive;
@@ -124,7 +123,7 @@ impl OptionsReader {
             && let Some(given) = self.options.skeleton.as_mut().filter(|given| !given.rows.is_empty())
         {
             // Weights that nobody keeps decide nothing.
-            *given = Arc::new(GivenSkeleton { skeleton: given.skeleton.clone(), rows: Vec::new() });
+            *given = Arc::new(GivenSkeleton { rows: Vec::new(), ..given.as_ref().clone() });
         }
         if self.errors.is_empty() { Ok(self.options) } else { Err(self.errors) }
     }
@@ -237,11 +236,7 @@ fn skeleton(raw: Raw) -> Result<Arc<GivenSkeleton>, String> {
         Raw::Json(Value::String(text)) => rig_json::read(text.as_bytes()),
         Raw::Json(value) => rig_json::read(value.to_string().as_bytes()),
     };
-    let given = |file: RigFile| {
-        let Rig { skeleton, skin } = file.into_rig();
-        Arc::new(GivenSkeleton { skeleton, rows: skin.rows })
-    };
-    read.map(given).map_err(|error| format!("{error}; {}", error.hint()))
+    read.map(|file| Arc::new(file.into())).map_err(|error| format!("{error}; {}", error.hint()))
 }
 
 /// Names of joints, or patterns of names.
@@ -370,6 +365,7 @@ mod tests {
             skin_fallback: vec![SkinMethod::GeodesicHeat, SkinMethod::RigNet],
             skeleton: Some(Arc::new(GivenSkeleton {
                 skeleton: rig_json::read(file.to_string().as_bytes()).expect("reads").skeleton,
+                nodes: None,
                 rows: vec![vec![Influence { joint: 0, weight: 1.0 }]],
             })),
             non_deforming: vec!["IK_*".to_owned(), "pole".to_owned()],

@@ -20,15 +20,11 @@ pub fn facts(
     models: &Models,
 ) -> Map<String, Value> {
     let (rig, facts) = (&rigged.rig, &rigged.facts);
-    let (skin_method, reason) = if facts.is_rigid {
-        (RIGID_BOXES, "each box of the character moves as a whole".to_owned())
-    } else {
-        (choice.method.name(), choice.reason())
-    };
+    let reason = if facts.is_rigid { "each box of the character moves as a whole".to_owned() } else { choice.reason() };
     let digests: Vec<Value> =
         models.statuses().iter().map(|model| json!({"name": model.name, "sha256": model.sha256})).collect();
     object(json!({
-        "method": method_used(method, options, choice),
+        "method": method_used(method, options, choice, facts),
         "service_version": env!("CARGO_PKG_VERSION"),
         "models": digests,
         "options": {
@@ -53,7 +49,7 @@ pub fn facts(
             "vertices": rig.skin.rows.len(),
             "max_influences": rig.skin.rows.iter().map(Vec::len).max().unwrap_or(0),
             "unweighted": 0,
-            "method": skin_method,
+            "method": skin_method(choice, facts),
             "reason": reason,
             "by_nearest_bone": facts.vertices_by_nearest_bone,
             "mirrored": facts.vertices_mirrored,
@@ -73,8 +69,13 @@ pub fn facts(
 }
 
 /// The name of what made the rig: the method, or for a skeleton that was there what weighed the vertices.
-pub fn method_used(method: Method, options: &RigOptions, choice: SkinChoice) -> &'static str {
-    if options.keeps_skeleton() { choice.method.name() } else { method.name() }
+pub fn method_used(method: Method, options: &RigOptions, choice: SkinChoice, facts: &Facts) -> &'static str {
+    if options.keeps_skeleton() { skin_method(choice, facts) } else { method.name() }
+}
+
+/// The name of what weighed the vertices.
+fn skin_method(choice: SkinChoice, facts: &Facts) -> &'static str {
+    if facts.is_rigid { RIGID_BOXES } else { choice.method.name() }
 }
 
 /// The figures of [`Quality`]; bleeding is told of the joints that do.

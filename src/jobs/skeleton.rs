@@ -2,25 +2,23 @@
 
 use super::failure::{ErrorCode, JobError};
 use super::options::GivenSkeleton;
-use crate::formats::rig_json::RigFile;
 use crate::formats::rig_json::{self, RigFileError};
 use crate::formats::{Limits, gltf, is_fbx, read_fbx_skeleton};
-use crate::rig::Rig;
 use std::sync::Arc;
 
 /// Reads a skeleton for [`super::RigOptions::skeleton`] from a `rigsmith.rig/1` file, from a GLB file with a skin or from an FBX
 /// file with bones. Weights are read of the first alone, and kept where joints are to be locked (`with_weights`); positions are in
 /// the space of the upload that the skeleton is for.
 pub fn read_skeleton(bytes: &[u8], with_weights: bool) -> Result<Arc<GivenSkeleton>, JobError> {
-    let bare = |skeleton| GivenSkeleton { skeleton, rows: Vec::new() };
+    let bare = |(skeleton, nodes)| GivenSkeleton { skeleton, nodes: Some(nodes), rows: Vec::new() };
     let read = if gltf::is_glb(bytes) {
         gltf::read_skeleton(bytes, &Limits::default()).map(bare)
     } else if is_fbx(bytes) {
         read_fbx_skeleton(bytes, &Limits::default()).map(bare)
     } else {
-        rig_json::read(bytes).map(RigFile::into_rig).map(|Rig { skeleton, skin }| {
-            let rows = if with_weights { skin.rows } else { Vec::new() };
-            GivenSkeleton { skeleton, rows }
+        rig_json::read(bytes).map(|file| {
+            let given = GivenSkeleton::from(file);
+            if with_weights { given } else { GivenSkeleton { rows: Vec::new(), ..given } }
         })
     };
     read.map(Arc::new).map_err(|error| refusal(&error))
@@ -28,8 +26,7 @@ pub fn read_skeleton(bytes: &[u8], with_weights: bool) -> Result<Arc<GivenSkelet
 
 /// The same skeleton as the shortest file that holds it: what two senders mean alike is alike.
 pub fn canonical_skeleton(bytes: &[u8], with_weights: bool) -> Result<Vec<u8>, JobError> {
-    let given = read_skeleton(bytes, with_weights)?;
-    Ok(rig_json::skeleton_json(&given.skeleton, &given.rows).to_string().into_bytes())
+    Ok(read_skeleton(bytes, with_weights)?.to_json().to_string().into_bytes())
 }
 
 fn refusal(error: &RigFileError) -> JobError {

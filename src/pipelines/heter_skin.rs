@@ -55,8 +55,8 @@ impl WeighedBones {
     pub fn heter_graph(&self, shape: &Shape, skeleton: &Skeleton) -> HeterGraph {
         let segments: Vec<_> = self.bones.iter().map(|bone| (bone.start, bone.end)).collect();
         let positions = &shape.mesh.positions;
-        let hollow = hollow_distance(&shape.mesh, &segments, HOLLOW_RESOLUTION);
         let straight = bone_euclid(positions, &segments);
+        let hollow = hollow_distance(&shape.mesh, &segments, straight.clone(), HOLLOW_RESOLUTION);
         let distances = BoneDistances { hollow: &hollow, voxel: &self.voxel_distance, straight: &straight };
         HeterGraph::new(positions, skeleton, &self.bones, &distances, &self.heat(shape))
     }

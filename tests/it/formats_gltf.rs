@@ -6,6 +6,7 @@ mod kept_skeletons;
 mod reading;
 mod refusals;
 mod rig_files;
+mod separate_skeletons;
 mod skins;
 mod transforms;
 mod unchanged;

@@ -121,6 +121,69 @@ fn a_file_keeps_its_skeleton_and_gets_new_weights() {
     assert!(stderr(&bare).contains("no skeleton to keep") && stderr(&bare).contains("hint:"), "{}", stderr(&bare));
 }
 
+/// Transforms of nodes without a mesh, by name, and the name of the parent of each.
+fn transforms(json: &Value) -> BTreeMap<String, (Option<String>, [Vec<f64>; 2])> {
+    let nodes = json["nodes"].as_array().expect("nodes");
+    let name = |node: &Value| node["name"].as_str().expect("a name").to_owned();
+    let numbers = |value: &Value, absent: &[f64]| {
+        value.as_array().map_or(absent.to_vec(), |numbers| numbers.iter().filter_map(Value::as_f64).collect())
+    };
+    let bare = nodes.iter().enumerate().filter(|(_, node)| node.get("mesh").is_none());
+    bare.map(|(index, node)| {
+        let is_child =
+            |other: &&Value| other["children"].as_array().is_some_and(|children| children.contains(&json!(index)));
+        let local = [numbers(&node["translation"], &[0.0; 3]), numbers(&node["rotation"], &[0.0, 0.0, 0.0, 1.0])];
+        (name(node), (nodes.iter().find(is_child).map(name), local))
+    })
+    .collect()
+}
+
+#[test]
+fn a_skeleton_of_another_file_keeps_turned_joints_and_sockets() {
+    let folder = tempfile::tempdir().expect("folder");
+    rigged_sample(folder.path());
+    let file = std::fs::read(folder.path().join("rigged.glb")).expect("file");
+    let mut document = glb_json(&file);
+    let joint = |at: usize| document["skins"][0]["joints"][at].as_u64().expect("index") as usize;
+    let (root, leaf) = (joint(0), joint(document["skins"][0]["joints"].as_array().expect("joints").len() - 1));
+    let children = document["nodes"][root]["children"].clone();
+    // The root is turned about the vertical, and what is below it turned back.
+    let half = std::f64::consts::FRAC_1_SQRT_2;
+    document["nodes"][root]["rotation"] = json!([0.0, half, 0.0, half]);
+    for child in children.as_array().expect("children") {
+        let child = &mut document["nodes"][child.as_u64().expect("index") as usize];
+        let [x, y, z] = [0, 1, 2].map(|axis| child["translation"][axis].as_f64().expect("a number"));
+        (child["translation"], child["rotation"]) = (json!([-z, y, x]), json!([0.0, -half, 0.0, half]));
+    }
+    let socket = document["nodes"].as_array().expect("nodes").len();
+    document["nodes"].as_array_mut().expect("nodes").push(json!({ "name": "Socket", "translation": [0, 0.1, 0] }));
+    document["nodes"][leaf]["children"] = json!([socket]);
+    std::fs::write(folder.path().join("mine.glb"), with_json(&file, &document)).expect("writes");
+
+    let input = sample();
+    let skin = |skeleton: &str, stem: &str| {
+        let (glb, rig) = (format!("{stem}.glb"), format!("{stem}.rig.json"));
+        let arguments = ["skin", input.to_str().expect("path"), "--skeleton", skeleton, "-o", &glb, "-o", &rig];
+        succeeded(&rigsmith(folder.path(), &[&arguments[..], &["--skin-method", "geodesic_heat"]].concat()));
+        std::fs::read(folder.path().join(glb)).expect("file")
+    };
+    let given = skin("mine.glb", "given");
+    let (wanted, found) = (transforms(&document), transforms(&glb_json(&given)));
+    assert_eq!(wanted.keys().collect::<Vec<_>>(), found.keys().collect::<Vec<_>>());
+    for (name, (parent, local)) in &wanted {
+        assert_eq!(parent, &found[name].0, "{name}");
+        let pairs = local.iter().flatten().zip(found[name].1.iter().flatten());
+        assert!(pairs.into_iter().all(|(a, b)| (a - b).abs() < 1e-6), "{name}: {local:?} became {:?}", found[name].1);
+    }
+    // Turned joints weigh as unturned ones in the same places.
+    let plain = skin("rigged.glb", "plain");
+    assert_ne!(given, plain);
+    let rows = |stem: &str| weights(&read_json(folder.path(), &format!("{stem}.rig.json")));
+    assert!(rows("given").iter().zip(&rows("plain")).all(|(a, b)| difference(a, b) < 1e-4));
+    // The rig file holds all of it.
+    assert_eq!(skin("given.rig.json", "again"), given);
+}
+
 #[test]
 fn joints_that_must_not_deform_stay_without_weights() {
     let folder = tempfile::tempdir().expect("folder");

@@ -4,9 +4,10 @@
 
 use super::buffers::append_view;
 use super::json::{items, push, text};
+use super::kept_skin::KeptSkin;
 use super::skin_weights::{Slots, WeightFormat};
 use super::{Document, container, flatten, scene_document, skin_check};
-use crate::formats::{Asset, Source};
+use crate::formats::{Asset, SceneSkeleton, Source};
 use crate::rig::{Rig, Skeleton};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
@@ -22,13 +23,22 @@ pub struct EncodeOptions {
     pub influences_max: usize,
     pub weights: WeightFormat,
     pub names: JointNames,
+    /// The nodes that came with the skeleton, where it was given in a file of its own: they are written as they are, and its joints
+    /// with them.
+    pub nodes: Option<SceneSkeleton>,
     /// Goes to `asset.extras.rigsmith`: method, model digests and the like.
     pub provenance: Option<Value>,
 }
 
 impl Default for EncodeOptions {
     fn default() -> Self {
-        Self { influences_max: 4, weights: WeightFormat::Float, names: JointNames::Plain, provenance: None }
+        Self {
+            influences_max: 4,
+            weights: WeightFormat::Float,
+            names: JointNames::Plain,
+            nodes: None,
+            provenance: None,
+        }
     }
 }
 
@@ -124,7 +134,10 @@ fn with_skin(
         return Err(EncodeError::RowCount { rows: rig.skin.rows.len(), vertices });
     }
     let (mut json, mut binary) = (document.json.clone(), document.binary.clone());
-    let (skin, slots) = match &document.kept {
+    let own = options.nodes.as_ref().filter(|_| document.kept.is_none());
+    let own = own.map(|nodes| KeptSkin::of_nodes(&mut json, nodes));
+    let kept = document.kept.as_ref().or(own.as_ref());
+    let (skin, slots) = match kept {
         None => {
             let skin = add_skin(&mut json, &mut binary, document, &rig.skeleton, options.names);
             (skin, Slots::new(&rig.skin, rig.skeleton.joints.len(), options)?)
@@ -142,7 +155,7 @@ fn with_skin(
     // The buffer's length is the chunk's.
     binary.resize(binary.len().next_multiple_of(4), 0);
     super::buffers::set_buffer_length(&mut json, binary.len());
-    skin_check::check(&json, &binary, document.kept.is_some())?;
+    skin_check::check(&json, &binary, kept.is_some())?;
     Ok((json, binary))
 }
 

@@ -28,6 +28,7 @@ const OF_THE_SKELETON: &[&str] = &[
 const AT_REST: f64 = 1e-5;
 
 /// The skins in use and their joint nodes.
+#[derive(Default)]
 pub(super) struct OldJoints {
     pub(super) skins: BTreeSet<usize>,
     pub(super) joints: BTreeSet<usize>,

@@ -5,14 +5,14 @@ use super::bake::Edit;
 use super::buffers::append_view;
 use super::encode::EncodeError;
 use super::existing_rig::{self, OldJoints};
-use super::json::{index, items, push};
+use super::json::{index, items, items_mut, push};
 use super::node_graph::NodeGraph;
 use super::{Document, flatten, skeleton};
 use crate::formats::old_rig::{OldRig, row_of};
 use crate::formats::rig_json::RigFileError;
-use crate::formats::{DecodeError, Limits};
+use crate::formats::{DecodeError, Limits, SceneSkeleton};
 use crate::rig::{Influence, SkinWeights};
-use glam::DMat4;
+use glam::{DMat4, DQuat, DVec3};
 use serde_json::{Map, Value, json};
 use std::collections::BTreeSet;
 
@@ -79,6 +79,29 @@ pub(super) fn read(
 }
 
 impl KeptSkin {
+    /// Appends the nodes of a skeleton that is kept.
+    pub(super) fn of_nodes(json: &mut Value, skeleton: &SceneSkeleton) -> Self {
+        let first = items(json, "nodes").len();
+        for node in &skeleton.nodes {
+            let mut value = json!({ "translation": node.translation.to_array() });
+            if !node.name.is_empty() {
+                value["name"] = json!(node.name);
+            }
+            if node.rotation != DQuat::IDENTITY {
+                value["rotation"] = json!(node.rotation.to_array());
+            }
+            if node.scale != DVec3::ONE {
+                value["scale"] = json!(node.scale.to_array());
+            }
+            let index = push(json, "nodes", value);
+            if let Some(parent) = node.parent {
+                items_mut(&mut json["nodes"][first + parent], "children").push(json!(index));
+            }
+        }
+        let nodes = skeleton.joints.iter().map(|joint| first + joint).collect();
+        Self { nodes, places: skeleton.places.clone(), rest: Map::new() }
+    }
+
     /// Weights over the skin's own list of joints.
     pub(super) fn in_places(&self, skin: &SkinWeights) -> Result<SkinWeights, EncodeError> {
         let in_place = |(vertex, row): (usize, &Vec<Influence>)| {

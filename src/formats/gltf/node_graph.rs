@@ -2,7 +2,7 @@
 
 use super::FORMAT;
 use super::json::{items, malformed, member_reference, numbers, reference};
-use crate::formats::{DecodeError, Limits, Place};
+use crate::formats::{DecodeError, Limits, Place, scene};
 use glam::{DMat4, DQuat, DVec3};
 use serde_json::Value;
 
@@ -107,10 +107,30 @@ fn parents_first(parents: &[Option<usize>]) -> Result<Vec<usize>, DecodeError> {
 }
 
 fn local_transform(node: &Value, index: usize) -> Result<DMat4, DecodeError> {
-    let place = format!("node {index}");
-    if let Some(columns) = numbers::<16>(node, "matrix", &place)? {
+    if let Some(columns) = numbers::<16>(node, "matrix", &format!("node {index}"))? {
         return Ok(DMat4::from_cols_array(&columns));
     }
+    let (scale, rotation, translation) = written_parts(node, index)?;
+    if rotation == DQuat::IDENTITY && rotation.is_finite() {
+        // Exact, so that a chain of untouched nodes leaves positions untouched.
+        let axes = DMat4::from_diagonal(scale.extend(1.0));
+        return Ok(DMat4::from_cols(axes.x_axis, axes.y_axis, axes.z_axis, translation.extend(1.0)));
+    }
+    let matrix = DMat4::from_scale_rotation_translation(scale, rotation, translation);
+    if matrix.is_finite() { Ok(matrix) } else { Err(non_finite(index)) }
+}
+
+/// Scale, rotation and translation of a node. `None` where it has a matrix that is not made of them.
+pub(super) fn parts(node: &Value, index: usize) -> Result<Option<(DVec3, DQuat, DVec3)>, DecodeError> {
+    match node.get("matrix") {
+        Some(_) => Ok(scene::parts_of(&local_transform(node, index)?)),
+        None => written_parts(node, index).map(Some),
+    }
+}
+
+/// Scale, rotation and translation of a node without a matrix.
+fn written_parts(node: &Value, index: usize) -> Result<(DVec3, DQuat, DVec3), DecodeError> {
+    let place = format!("node {index}");
     let translation = numbers::<3>(node, "translation", &place)?.unwrap_or([0.0; 3]);
     let rotation = numbers::<4>(node, "rotation", &place)?.unwrap_or([0.0, 0.0, 0.0, 1.0]);
     let scale = numbers::<3>(node, "scale", &place)?.unwrap_or([1.0; 3]);
@@ -121,14 +141,7 @@ fn local_transform(node: &Value, index: usize) -> Result<DMat4, DecodeError> {
             if quaternion.length_squared() > 0.0 { quaternion.normalize() } else { DQuat::IDENTITY }
         }
     };
-    let (scale, translation) = (DVec3::from_array(scale), DVec3::from_array(translation));
-    if rotation == DQuat::IDENTITY && rotation.is_finite() {
-        // Exact, so that a chain of untouched nodes leaves positions untouched.
-        let axes = DMat4::from_diagonal(scale.extend(1.0));
-        return Ok(DMat4::from_cols(axes.x_axis, axes.y_axis, axes.z_axis, translation.extend(1.0)));
-    }
-    let matrix = DMat4::from_scale_rotation_translation(scale, rotation, translation);
-    if matrix.is_finite() { Ok(matrix) } else { Err(non_finite(index)) }
+    Ok((DVec3::from_array(scale), rotation, DVec3::from_array(translation)))
 }
 
 /// Which nodes each scene holds.

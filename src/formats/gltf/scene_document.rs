@@ -1,14 +1,12 @@
 //! A document from scratch, for uploads that are no glTF: OBJ, PLY, STL, FBX.
 
 use super::buffers::append_view;
-use super::json::{items, items_mut, push};
+use super::json::push;
 use super::kept_skin::KeptSkin;
 use super::{Document, SkinnedPrimitive};
-use crate::formats::scene::SceneSkeleton;
 use crate::formats::{Alpha, Material, Scene, ScenePrimitive};
 use crate::mesh::Mesh;
-use glam::{DQuat, DVec3};
-use serde_json::{Map, Value, json};
+use serde_json::{Value, json};
 
 /// Builds the document of `scene`, whose positions are rows of `mesh`.
 pub(super) fn build(scene: &Scene, mesh: &Mesh) -> Document {
@@ -29,30 +27,8 @@ pub(super) fn build(scene: &Scene, mesh: &Mesh) -> Document {
         push(&mut json, "nodes", with_name(json!({ "mesh": mesh_index }), &node.name));
     }
     add_looks(&mut json, &mut binary, scene);
-    let kept = scene.skeleton.as_ref().map(|skeleton| add_skeleton(&mut json, skeleton));
+    let kept = scene.skeleton.as_ref().map(|skeleton| KeptSkin::of_nodes(&mut json, skeleton));
     Document { json, binary, other_chunks: Vec::new(), skinned, kept, scenes: vec![0] }
-}
-
-/// Appends the nodes of a skeleton that is kept.
-fn add_skeleton(json: &mut Value, skeleton: &SceneSkeleton) -> KeptSkin {
-    let first = items(json, "nodes").len();
-    for node in &skeleton.nodes {
-        let (scale, rotation, translation) = node.local.to_scale_rotation_translation();
-        let mut value = json!({ "translation": translation.to_array() });
-        if rotation != DQuat::IDENTITY {
-            value["rotation"] = json!(rotation.to_array());
-        }
-        if scale != DVec3::ONE {
-            value["scale"] = json!(scale.to_array());
-        }
-        let index = push(json, "nodes", with_name(value, &node.name));
-        match node.parent {
-            Some(parent) => items_mut(&mut json["nodes"][first + parent], "children").push(json!(index)),
-            None => items_mut(&mut json["scenes"][0], "nodes").push(json!(index)),
-        }
-    }
-    let nodes = skeleton.joints.iter().map(|joint| first + joint).collect();
-    KeptSkin { nodes, places: skeleton.places.clone(), rest: Map::new() }
 }
 
 /// Node and mesh of a scene node have the same index.

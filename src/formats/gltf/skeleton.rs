@@ -3,30 +3,70 @@
 //! All joints of the skins that are in use, at their places in the rest pose (world space, as every viewer shows them); a joint
 //! hangs from the nearest joint above it.
 
+use super::existing_rig::{self, OldJoints};
 use super::json::{items, parse, text};
-use super::node_graph::NodeGraph;
-use super::{container, document, existing_rig};
+use super::node_graph::{self, NodeGraph};
+use super::{container, document};
 use crate::formats::old_rig::{GraphNode, skeleton_of};
 use crate::formats::rig_json::RigFileError;
+use crate::formats::scene::{SHEARED, SceneSkeleton, SkeletonNode};
+use crate::formats::skeleton_nodes::{FileNode, about_joints};
 use crate::formats::{DecodeError, Limits};
 use crate::rig::Skeleton;
 use serde_json::Value;
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Whether these bytes are a GLB file.
 pub fn is_glb(bytes: &[u8]) -> bool {
     container::is_glb(bytes)
 }
 
-/// Reads the skeleton of a GLB file.
-pub fn read_skeleton(bytes: &[u8], limits: &Limits) -> Result<Skeleton, RigFileError> {
+/// Reads the skeleton of a GLB file, and the nodes above, between and under its joints.
+pub fn read_skeleton(bytes: &[u8], limits: &Limits) -> Result<(Skeleton, SceneSkeleton), RigFileError> {
     let unreadable = |error: DecodeError| RigFileError::Unreadable { problem: error.to_string() };
     let json = container::split(bytes).and_then(|container| parse(container.json, limits)).map_err(unreadable)?;
     document::check(&json).map_err(unreadable)?;
     let graph = NodeGraph::new(&json, limits).map_err(unreadable)?;
     let rig = existing_rig::find(&json).map_err(unreadable)?;
-    let joints = rig.map(|rig| rig.joints).unwrap_or_default();
-    Ok(joints_of(&json, &graph, &joints)?.0)
+    let OldJoints { skins, joints } = rig.unwrap_or_default();
+    let (skeleton, joint_nodes) = joints_of(&json, &graph, &joints)?;
+    let mut order = Vec::new();
+    for skin in skins {
+        let of_skin = existing_rig::joints_of(&json, skin).map_err(unreadable)?;
+        let joints = of_skin.iter().filter_map(|node| joint_nodes.iter().position(|joint| joint == node));
+        order.extend(joints);
+    }
+    let mut listed = BTreeSet::new();
+    order.retain(|joint| listed.insert(*joint));
+    let nodes = about_joints(file_nodes(&json, &graph, &skeleton, &joint_nodes)?, order, &skeleton)?;
+    Ok((skeleton, nodes))
+}
+
+/// The nodes of a document, parents first.
+fn file_nodes(
+    json: &Value,
+    graph: &NodeGraph,
+    skeleton: &Skeleton,
+    joint_nodes: &[usize],
+) -> Result<Vec<FileNode>, RigFileError> {
+    let place: BTreeMap<usize, usize> = graph.order.iter().enumerate().map(|(at, &node)| (node, at)).collect();
+    let file_node = |&index: &usize| {
+        let node = &items(json, "nodes")[index];
+        let joint = joint_nodes.iter().position(|joint| *joint == index);
+        let own = text(node, "name");
+        let name = joint.map_or(own, |joint| &skeleton.joints[joint].name).to_owned();
+        let scale_fault = |problem: &str| RigFileError::Scale { name: name.clone(), problem: problem.to_owned() };
+        if joint.is_some() && !graph.world[index].inverse().is_finite() {
+            return Err(scale_fault("its scale is zero"));
+        }
+        let parts =
+            node_graph::parts(node, index).map_err(|error| RigFileError::Unreadable { problem: error.to_string() })?;
+        let (scale, rotation, translation) = parts.ok_or_else(|| scale_fault(SHEARED))?;
+        let parent = graph.parents[index].and_then(|parent| place.get(&parent).copied());
+        let node = SkeletonNode { name, parent, translation, rotation, scale };
+        Ok(FileNode { node, joint, has_mesh: items(json, "nodes")[index].get("mesh").is_some() })
+    };
+    graph.order.iter().map(file_node).collect()
 }
 
 /// `joints` (nodes) as a skeleton, and the node of each of its joints.

@@ -51,8 +51,8 @@ pub struct OptionsView {
     #[param(required = false, style = Form, explode = false, value_type = Vec<String>)]
     #[schema(example = json!([]), required = false, value_type = Vec<String>)]
     pub skin_fallback: Vec<&'static str>,
-    /// A skeleton to make weights for, instead of making one: the text of a `rig.json`, of which `format` and `joints` are
-    /// read; in JSON also as an object. It stays as it is. A job shows how many joints it has.
+    /// A skeleton to make weights for, instead of making one: the text of a `rig.json`, of which `format`, `joints`, `nodes` and
+    /// `skin_order` are read; in JSON also as an object. It stays as it is. A job shows how many joints it has.
     #[param(required = false)]
     #[schema(example = json!(null), required = false)]
     pub skeleton: Option<String>,

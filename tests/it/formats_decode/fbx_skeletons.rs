@@ -73,7 +73,10 @@ fn written(asset: &Asset) -> Value {
     let rows = vec![vec![Influence { joint, weight: 1.0 }]; asset.mesh.positions.len()];
     let rig = Rig { skeleton: old.skeleton.clone(), skin: SkinWeights { rows } };
     let options = EncodeOptions { names: JointNames::AsGiven, ..EncodeOptions::default() };
-    let file = encode_glb(asset, &rig, &options).expect("written");
+    glb_json(&encode_glb(asset, &rig, &options).expect("written"))
+}
+
+fn glb_json(file: &[u8]) -> Value {
     let length = u32::from_le_bytes(file[12..16].try_into().expect("four bytes")) as usize;
     serde_json::from_slice(&file[20..20 + length]).expect("JSON chunk")
 }
@@ -186,9 +189,35 @@ fn a_mesh_bound_in_another_pose_comes_as_the_bones_have_it() {
 }
 
 #[test]
+fn a_skeleton_given_for_another_mesh_is_written_as_the_file_has_it() {
+    let (objects, links) = bones();
+    let file = ascii_fbx(&(objects + &node(5005, "Lamp", "Null", "")), &(links + "\tC: \"OO\",5005,0\n"));
+    let (skeleton, skeleton_nodes) = read_fbx_skeleton(&file, &Limits::default()).expect("reads");
+    let asset = accept("board.fbx", &ascii_fbx("", ""));
+    let rows = vec![vec![Influence { joint: 3, weight: 1.0 }]; asset.mesh.positions.len()];
+    let rig = Rig { skeleton, skin: SkinWeights { rows } };
+    let options = EncodeOptions { names: JointNames::AsGiven, nodes: Some(skeleton_nodes), ..EncodeOptions::default() };
+    let given = glb_json(&encode_glb(&asset, &rig, &options).expect("written"));
+    let mut kept = nodes(&written(&reskin(&file)));
+    // What has nothing to do with joints stays behind.
+    let all = kept.len();
+    kept.retain(|node| node.0 != "Lamp");
+    assert_eq!(kept.len(), all - 1);
+    let given_nodes = nodes(&given);
+    assert_eq!(given_nodes.len(), kept.len());
+    for ((name, parent, world), (name_kept, parent_kept, world_kept)) in given_nodes.iter().zip(&kept) {
+        assert_eq!((name, parent), (name_kept, parent_kept));
+        assert!(world.abs_diff_eq(*world_kept, 1e-9), "{name}: {world_kept} became {world}");
+    }
+    let joint = |at: usize| given["skins"][0]["joints"][at].as_u64().expect("index") as usize;
+    let names: Vec<&str> = (0..4).map(|at| given["nodes"][joint(at)]["name"].as_str().expect("a name")).collect();
+    assert_eq!(names, ["Hip", "IK_target", "Spine", "Armature"]);
+}
+
+#[test]
 fn a_skeleton_is_read_alone_and_files_without_one_are_refused() {
     let (objects, links) = bones();
-    let skeleton = read_fbx_skeleton(&ascii_fbx(&objects, &links), &Limits::default()).expect("reads");
+    let (skeleton, _) = read_fbx_skeleton(&ascii_fbx(&objects, &links), &Limits::default()).expect("reads");
     assert_eq!(
         skeleton.joints.iter().map(|joint| joint.name.as_str()).collect::<Vec<_>>(),
         ["Armature", "Hip", "IK_target", "Spine"]

@@ -11,7 +11,7 @@ fn a_rig_file_has_the_fixed_layout() {
     builder.root(json!({ "mesh": 0, "translation": [3, 0, 0] }));
     let asset = read(&builder.glb()).unwrap();
     let rig = simple_rig(&asset);
-    let text = rig_json::write(&asset, &rig, JointNames::Plain, "rignet", &json!({ "joints": 3 }));
+    let text = rig_json::write(&asset, &rig, None, JointNames::Plain, "rignet", &json!({ "joints": 3 }));
     let read: Value = serde_json::from_slice(&text).unwrap();
     let keys: Vec<&String> = read.as_object().unwrap().keys().collect();
     assert_eq!(keys, ["format", "method", "joints", "skins", "report"]);
@@ -32,7 +32,8 @@ fn a_rig_file_has_the_fixed_layout() {
 fn a_rig_file_is_read_as_it_was_written() {
     let asset = read(&plain().glb()).unwrap();
     let rig = simple_rig(&asset);
-    let file = rig_json::read(&rig_json::write(&asset, &rig, JointNames::Plain, "rignet", &json!({ "a": 1 }))).unwrap();
+    let file =
+        rig_json::read(&rig_json::write(&asset, &rig, None, JointNames::Plain, "rignet", &json!({ "a": 1 }))).unwrap();
     assert_eq!(file.method, "rignet");
     assert_eq!(file.skeleton, rig.skeleton);
     assert_eq!(file.skins[0].weights, rig.skin);
@@ -42,9 +43,15 @@ fn a_rig_file_is_read_as_it_was_written() {
 #[test]
 fn each_fault_of_a_rig_file_is_named() {
     let asset = read(&plain().glb()).unwrap();
-    let good: Value =
-        serde_json::from_slice(&rig_json::write(&asset, &simple_rig(&asset), JointNames::Plain, "rignet", &json!({})))
-            .unwrap();
+    let good: Value = serde_json::from_slice(&rig_json::write(
+        &asset,
+        &simple_rig(&asset),
+        None,
+        JointNames::Plain,
+        "rignet",
+        &json!({}),
+    ))
+    .unwrap();
     type Change = fn(&mut Value);
     let cases: &[(&str, &str, Change)] = &[
         ("skeleton_invalid", "the format is \"other/1\"", |json| json["format"] = json!("other/1")),
