@@ -117,7 +117,7 @@ def write_ledger(results: dict, networks: dict[str, shipped.Network], characters
     for stage, figures in results.items():
         lines += [f"| {stage} | {name} | {f['mean']:.4f} | {f['interval'][0]:.4f} to {f['interval'][1]:.4f} |" for name, f in figures.items()]
     vertices = np.mean([len(c.positions) for c in characters])
-    seconds = ", ".join(f"{name.removeprefix('rignet_')} {np.mean(net.seconds):.3f}" for name, net in networks.items())
+    seconds = ", ".join(f"{name.removeprefix('rignet_')} {np.mean(net.seconds):.3f}" for name, net in networks.items() if net.seconds)
     lines += ["", f"Clustering: {settings}.", "",
               f"CPU seconds of one run at {vertices:.0f} vertices on average, one thread, machine shared with others: {seconds}."]
     before, _, rest = LEDGER.read_text().partition(LEDGER_MARKS[0])
