@@ -10,7 +10,7 @@ use super::scene::{SHEARED, SceneSkeleton, SkeletonNode, parts_of};
 use super::skeleton_nodes::{FileNode, about_joints};
 use super::{DecodeError, Limits, Place};
 use crate::rig::{Influence, Skeleton};
-use glam::{DMat4, DVec3};
+use glam::{DMat4, DQuat, DVec3};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// A vertex that its skin moves by no more than this part of the mesh's size is at rest.
@@ -76,10 +76,8 @@ impl FbxSkeleton {
     /// The nodes as they are written.
     pub(super) fn scene_skeleton(&self) -> Result<SceneSkeleton, RigFileError> {
         let nodes = (0..self.of.len()).map(|index| {
-            let above = self.parents[index].map_or(DMat4::IDENTITY, |parent| self.world[parent]);
-            let local = above.inverse() * self.world[index];
             let name = self.names[index].clone();
-            match parts_of(&local).filter(|_| self.world[index].inverse().is_finite()) {
+            match self.parts(index) {
                 Some((scale, rotation, translation)) => {
                     Ok(SkeletonNode { name, parent: self.parents[index], translation, rotation, scale })
                 }
@@ -93,13 +91,28 @@ impl FbxSkeleton {
         })
     }
 
+    /// Scale, rotation and translation of a node, relative to its parent; `None` where they do not say its transform, or where
+    /// nothing could follow it.
+    fn parts(&self, index: usize) -> Option<(DVec3, DQuat, DVec3)> {
+        let above = self.parents[index].map_or(DMat4::IDENTITY, |parent| self.world[parent]);
+        let local = above.inverse() * self.world[index];
+        parts_of(&local).filter(|_| self.world[index].inverse().is_finite())
+    }
+
     /// Those of the nodes that stand above, between or under joints.
     fn nodes_about_joints(&self) -> Result<SceneSkeleton, RigFileError> {
-        let joint_of = |node: usize| self.joint_nodes.iter().position(|other| *other == node);
+        let joint_of: BTreeMap<usize, usize> =
+            self.joint_nodes.iter().enumerate().map(|(joint, &node)| (node, joint)).collect();
         // A node that only carries a mesh is none of `of`, unless it holds others together.
-        let nodes = self.scene_skeleton()?.nodes.into_iter().enumerate();
-        let nodes = nodes.map(|(at, node)| FileNode { node, joint: joint_of(at), has_mesh: false });
-        about_joints(nodes.collect(), self.joints.iter().filter_map(|&node| joint_of(node)).collect(), &self.skeleton)
+        let nodes = (0..self.of.len()).map(|index| FileNode {
+            name: self.names[index].clone(),
+            parent: self.parents[index],
+            parts: self.parts(index),
+            joint: joint_of.get(&index).copied(),
+            has_mesh: false,
+        });
+        let order = self.joints.iter().filter_map(|node| joint_of.get(node).copied()).collect();
+        about_joints(nodes.collect(), order, &self.skeleton)
     }
 
     /// Place among the joints of the skin of each joint of the skeleton.

@@ -12,7 +12,7 @@
 //! skin, where it is not that of `joints`.
 
 use super::rig_json::RigFileError;
-use super::scene::{SceneSkeleton, SkeletonNode};
+use super::scene::{SHEARED, SceneSkeleton, SkeletonNode};
 use crate::rig::Skeleton;
 use glam::{DMat4, DQuat, DVec3};
 use serde::{Deserialize, Serialize};
@@ -26,7 +26,11 @@ const UNIT_ENOUGH: f64 = 1e-6;
 
 /// A node of a file, and what it is there.
 pub(super) struct FileNode {
-    pub(super) node: SkeletonNode,
+    pub(super) name: String,
+    /// Index in the same list.
+    pub(super) parent: Option<usize>,
+    /// Scale, rotation and translation; `None` for a transform that is not made of them.
+    pub(super) parts: Option<(DVec3, DQuat, DVec3)>,
     /// Index in the skeleton.
     pub(super) joint: Option<usize>,
     pub(super) has_mesh: bool,
@@ -57,23 +61,27 @@ pub(super) fn about_joints(
 ) -> Result<SceneSkeleton, RigFileError> {
     let mut is_under = vec![false; nodes.len()];
     for (at, node) in nodes.iter().enumerate() {
-        is_under[at] = node.joint.is_some() || node.node.parent.is_some_and(|parent| is_under[parent]);
+        is_under[at] = node.joint.is_some() || node.parent.is_some_and(|parent| is_under[parent]);
     }
     let mut is_kept = vec![false; nodes.len()];
     for (at, node) in nodes.iter().enumerate().rev() {
         is_kept[at] |= is_under[at] && (node.joint.is_some() || !node.has_mesh);
-        if let Some(parent) = node.node.parent.filter(|_| is_kept[at]) {
+        if let Some(parent) = node.parent.filter(|_| is_kept[at]) {
             is_kept[parent] = true;
         }
     }
     let mut index_of = vec![None; nodes.len()];
     let mut kept = Vec::new();
     let mut node_of_joint = Vec::new();
-    for (at, FileNode { mut node, joint, .. }) in nodes.into_iter().enumerate().filter(|(at, _)| is_kept[*at]) {
+    for (at, node) in nodes.into_iter().enumerate().filter(|(at, _)| is_kept[*at]) {
+        let FileNode { name, parent, parts, joint, .. } = node;
+        let Some((scale, rotation, translation)) = parts else {
+            return Err(RigFileError::Scale { name, problem: SHEARED.to_owned() });
+        };
         index_of[at] = Some(kept.len());
-        node.parent = node.parent.and_then(|parent| index_of[parent]);
         node_of_joint.extend(joint.map(|joint| (joint, kept.len())));
-        kept.push(node);
+        let parent = parent.and_then(|parent| index_of[parent]);
+        kept.push(SkeletonNode { name, parent, translation, rotation, scale });
     }
     if kept.len() > NODES_MAX {
         let problem = format!("there are {} nodes about its joints, but at most {NODES_MAX} are taken", kept.len());

@@ -9,7 +9,7 @@ use super::node_graph::{self, NodeGraph};
 use super::{container, document};
 use crate::formats::old_rig::{GraphNode, skeleton_of};
 use crate::formats::rig_json::RigFileError;
-use crate::formats::scene::{SHEARED, SceneSkeleton, SkeletonNode};
+use crate::formats::scene::SceneSkeleton;
 use crate::formats::skeleton_nodes::{FileNode, about_joints};
 use crate::formats::{DecodeError, Limits};
 use crate::rig::Skeleton;
@@ -50,21 +50,19 @@ fn file_nodes(
     joint_nodes: &[usize],
 ) -> Result<Vec<FileNode>, RigFileError> {
     let place: BTreeMap<usize, usize> = graph.order.iter().enumerate().map(|(at, &node)| (node, at)).collect();
+    let joint_of: BTreeMap<usize, usize> = joint_nodes.iter().enumerate().map(|(joint, &node)| (node, joint)).collect();
     let file_node = |&index: &usize| {
         let node = &items(json, "nodes")[index];
-        let joint = joint_nodes.iter().position(|joint| *joint == index);
+        let joint = joint_of.get(&index).copied();
         let own = text(node, "name");
         let name = joint.map_or(own, |joint| &skeleton.joints[joint].name).to_owned();
-        let scale_fault = |problem: &str| RigFileError::Scale { name: name.clone(), problem: problem.to_owned() };
         if joint.is_some() && !graph.world[index].inverse().is_finite() {
-            return Err(scale_fault("its scale is zero"));
+            return Err(RigFileError::Scale { name, problem: "its scale is zero".to_owned() });
         }
         let parts =
             node_graph::parts(node, index).map_err(|error| RigFileError::Unreadable { problem: error.to_string() })?;
-        let (scale, rotation, translation) = parts.ok_or_else(|| scale_fault(SHEARED))?;
         let parent = graph.parents[index].and_then(|parent| place.get(&parent).copied());
-        let node = SkeletonNode { name, parent, translation, rotation, scale };
-        Ok(FileNode { node, joint, has_mesh: items(json, "nodes")[index].get("mesh").is_some() })
+        Ok(FileNode { name, parent, parts, joint, has_mesh: node.get("mesh").is_some() })
     };
     graph.order.iter().map(file_node).collect()
 }
