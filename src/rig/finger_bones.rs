@@ -8,9 +8,9 @@
 //!
 //! A limb is a joint away from the middle, whose parent is of the middle or the other side, and all that follows it. Its surface is
 //! what no other bone is nearer to. Where that ends in a hand ([`HandShape`]), the joints of the hand are put anew: a wrist,
-//! unless the networks have found one, and the joints of every finger. The networks find an eighth of the artists' finger joints
-//! (at 1,000 to 4,000 points a finger is smaller than their neighbourhoods); this finds three fifths, training and validation
-//! alike, on characters whose mesh has fingers. The rule is ours. Pure; O(V J).
+//! unless the networks have found one, and the joints of every finger. On the 68 training characters
+//! whose hands it knows, recall of the artists' finger joints rises from .11 to .63 and IoU from .37 to .58; on the five of
+//! validation from .17 to .44 and from .53 to .57. The rule is ours. Pure; O(V J).
 
 use super::Skeleton;
 use super::hand_shape::{HandRule, HandShape};
@@ -177,7 +177,7 @@ impl Edited {
             nearest
         } else {
             let back = (self.positions[nearest] - shape.knuckles).normalize_or_zero();
-            let way = if shape.is_slender() { WRIST } else { STUBBY_WRIST };
+            let way = if shape.is_stubby() { STUBBY_WRIST } else { WRIST };
             self.add(nearest, shape.knuckles + back * way * length)
         };
         for finger in &shape.fingers {
