@@ -326,9 +326,8 @@ mod tests {
 
     #[test]
     fn parts_that_share_no_vertex_hang_together_over_the_narrowest_gap() {
-        let finger = |x: f64, z: f64| tube(DVec3::new(x, 0.105, z), 0.008, 0.06, 8, 8);
-        let arm = tube(DVec3::ZERO, 0.06, 0.1, 20, 12);
-        let mesh = joined(&[arm, finger(-0.06, 0.0), finger(0.0, 0.06), finger(0.06, 0.0)]);
+        let finger = |x: f64| tube(DVec3::new(x, 0.102, 0.0), 0.008, 0.06, 8, 8);
+        let mesh = joined(&[sheet(&[0, 0, 0]), finger(0.01), finger(0.03), finger(0.05)]);
         let branches = found(&mesh).branches;
         assert_eq!(branches.len(), 3, "{branches:?}");
         for branch in branches {
@@ -350,7 +349,8 @@ mod tests {
         assert_eq!((one.len(), other.len()), (3, 3));
         for straight in &one {
             let is_near = |turned: &Branch| {
-                (turn * straight.base).distance(turned.base) < STEP && (turn * straight.tip).distance(turned.tip) < STEP
+                let apart = |one: DVec3, other: DVec3| (turn * one).distance(other);
+                apart(straight.base, turned.base) < 2.0 * STEP && apart(straight.tip, turned.tip) < 2.0 * STEP
             };
             assert!(other.iter().any(is_near), "{straight:?} among {other:?}");
         }
