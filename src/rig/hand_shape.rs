@@ -74,16 +74,19 @@ const FINGER_SLENDERNESS: f64 = 2.6;
 const THUMB_SLENDERNESS: f64 = 1.8;
 
 impl Finger {
-    /// Its joints, from the knuckle on.
-    pub fn joints(&self) -> impl Iterator<Item = DVec3> + use<> {
-        let (base, tip) = (self.base, self.tip);
+    /// Its joints, from the knuckle on, for a hand with this wrist. Behind its base a thumb bends halfway toward the wrist: straight
+    /// on it would leave the palm.
+    pub fn joints(&self, wrist: DVec3) -> impl Iterator<Item = DVec3> + use<> {
+        let (base, along) = (self.base, self.tip - self.base);
+        let halfway = (wrist - base).normalize_or_zero() - along.normalize_or_zero();
+        let back = if self.is_thumb { halfway.normalize_or_zero() * along.length() } else { -along };
         let places = match (self.is_thumb, self.is_stubby) {
             (false, false) => FINGER_JOINTS,
             (false, true) => STUBBY_FINGER_JOINTS,
             (true, false) => THUMB_JOINTS,
             (true, true) => STUBBY_THUMB_JOINTS,
         };
-        places.iter().map(move |&place| base + (tip - base) * place)
+        places.iter().map(move |&place| base + if place < 0.0 { back * -place } else { along * place })
     }
 }
 
@@ -211,14 +214,20 @@ mod tests {
         let found = HandShape::of(&ARM, &limb(hand()), &HandRule::SURE).expect("a hand");
         assert_eq!(found.fingers.iter().map(|finger| finger.is_thumb).collect::<Vec<_>>(), [false, false, false, true]);
         assert!(found.knuckles.distance(DVec3::new(0.4, 0.5, 0.0)) < 1e-9 && (found.length - 0.06).abs() < 1e-9);
-        let joints: Vec<Vec<f64>> =
-            found.fingers.iter().map(|finger| finger.joints().map(|joint| joint.x - finger.base.x).collect()).collect();
+        let joints: Vec<Vec<f64>> = found
+            .fingers
+            .iter()
+            .map(|finger| finger.joints(finger.base - DVec3::X).map(|joint| joint.x - finger.base.x).collect())
+            .collect();
         let near = |found: &[f64], expected: &[f64]| {
             assert_eq!(found.len(), expected.len());
             assert!(found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-9), "{found:?}, not {expected:?}");
         };
         near(&joints[0], &[-0.006, 0.018, 0.039]);
         near(&joints[3], &[-0.02, -0.002, 0.016]);
+        let thumb = found.fingers[3];
+        let bent = thumb.joints(thumb.base - DVec3::Z).next().expect("a joint") - thumb.base;
+        assert!(bent.distance(DVec3::new(-1.0, 0.0, -1.0).normalize() * 0.02) < 1e-9, "{bent}");
     }
 
     #[test]
