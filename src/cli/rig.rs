@@ -40,7 +40,8 @@ pub struct OptionArguments {
     /// RigNet's mean-shift bandwidth instead of --detail; larger means fewer joints.
     #[arg(long, value_name = "H")]
     bandwidth: Option<String>,
-    /// Fingers: auto folds hands with two ends into the wrist, on keeps all joints that are found in hands, off none.
+    /// Fingers: auto gives hands that show three or more the joints of these and folds two stray ends into the wrist; on takes
+    /// more for a hand and keeps all; off none.
     #[arg(long, value_name = "auto|on|off")]
     fingers: Option<String>,
     #[command(flatten)]

@@ -18,6 +18,7 @@ pub mod point_tree;
 pub mod self_intersection;
 mod solid_cells;
 pub mod stance;
+pub mod surface_branches;
 pub mod surface_geodesic;
 pub mod surface_samples;
 mod surface_voxels;

@@ -125,7 +125,7 @@ pub struct RigOptions {
     pub method: Method,
     pub level_of_detail: LevelOfDetail,
     pub symmetry: Symmetry,
-    /// Which fingers of a predicted skeleton stay.
+    /// Which fingers a predicted skeleton gets.
     pub fingers: Fingers,
     pub skin_method: SkinMethod,
     /// Whether a character made of boxes gets its joints from them,

@@ -6,11 +6,13 @@ use super::prepared::Prepared;
 use super::shape::{Shape, points_f32};
 use super::skin::{SkinNets, judged, weigh};
 use super::transfer::{finished, transferred};
-use super::{Facts, RigError, RigOptions, Rigged, Stage, Subject, Symmetry, Watch};
+use super::{Facts, Fingers, LevelOfDetail, RigError, RigOptions, Rigged, Stage, Subject, Symmetry, Watch};
 use crate::geometry::symmetry_plane::SymmetryPlane;
 use crate::nets::rignet::{JointPairs, RigNets, ShapeGraph};
 use crate::rig::deforming::Deforming;
 use crate::rig::detect_joints::{DetectedJoints, Evidence, detect_joints};
+use crate::rig::finger_bones::{FingerBones, with_finger_bones};
+use crate::rig::hand_shape::HandRule;
 use crate::rig::hands::with_fingers;
 use crate::rig::joined_ends::joined_ends;
 use crate::rig::limb_starts::with_limb_starts;
@@ -108,11 +110,25 @@ fn predicted(
     }
     let (connected, _) = Skeleton::from_tree(&detected.positions, &tree);
     let from_middle = |point: DVec3| plane.map_or(point.x, |plane| plane.signed_distance(point));
-    let (mut skeleton, fingers) = with_fingers(connected, options.fingers, from_middle);
+    let (mut skeleton, mut fingers) = with_fingers(connected, options.fingers, from_middle);
+    let made = hand_rule(options)
+        .and_then(|rule| with_finger_bones(&skeleton, (&shape.mesh, &shape.one_ring), plane, from_middle, &rule));
+    if let Some(FingerBones { skeleton: with_hands, fingers: all }) = made {
+        (skeleton, fingers) = (with_hands, all);
+    }
     if let Some(plane) = plane {
         skeleton = with_limb_starts(skeleton, plane, |point| shape.solid.contains(point));
     }
     Ok(Predicted { skeleton, fingers, graph: Some(graph), bandwidth: Some(detected.bandwidth) })
+}
+
+/// What counts as a hand; `None` where fingers are the networks' own, or none: a bandwidth asks for RigNet's own joints.
+fn hand_rule(options: &RigOptions) -> Option<HandRule> {
+    match (options.fingers, options.level_of_detail) {
+        (Fingers::Auto, LevelOfDetail::Detail(_)) => Some(HandRule::SURE),
+        (Fingers::On, _) => Some(HandRule::LIKELY),
+        (Fingers::Auto, _) | (Fingers::Off, _) => None,
+    }
 }
 
 /// Displacement and attention networks, then clustering (Section 4.1).

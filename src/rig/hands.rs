@@ -7,15 +7,16 @@
 //!
 //! A hand is a joint away from the middle, with another such joint before it (the elbow), whose following joints are all nearer
 //! together than it is to the elbow, on its side, and above the feet. The rule is ours. The networks find few fingers (recall on
-//! validation rigs about a tenth): two ends in a hand are no fingers but a nuisance to whoever animates it.
+//! validation rigs about a tenth): two ends in a hand are no fingers but a nuisance to whoever animates it. What has the shape of a
+//! hand gets its fingers by that shape ([`super::finger_bones`]).
 
 use super::Skeleton;
 use glam::DVec3;
 
 /// Joints nearer to the middle than this belong to the trunk, in longest sides.
-const MIDDLE: f64 = 0.03;
+pub(super) const MIDDLE: f64 = 0.03;
 /// Hands are above this height: lower ends are feet.
-const HEIGHT_MIN: f64 = 0.1;
+pub(super) const FEET_HEIGHT: f64 = 0.1;
 /// The forearm is longer than any bone of the hand by this factor,
 const FOREARM_MIN: f64 = 1.3;
 /// and the hand reaches no farther than this many forearms.
@@ -23,13 +24,13 @@ const REACH_MAX: f64 = 1.2;
 /// One end is the hand itself, three or more are fingers; so many are neither.
 const STRAY_ENDS: usize = 2;
 
-/// Which fingers stay.
+/// Which fingers there are.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Fingers {
-    /// All but those of hands with two ends.
+    /// Those of hands whose shape has fingers, put by that shape; of other hands those that the networks find, but for two ends.
     #[default]
     Auto,
-    /// All that are found.
+    /// The same, but less has to speak for a hand, and two ends stay.
     On,
     /// None.
     Off,
@@ -81,18 +82,18 @@ fn is_hand(skeleton: &Skeleton, wrist: usize, joints: &[usize], from_middle: imp
     let belongs = |&joint: &usize| {
         FOREARM_MIN * bone(joint) < forearm
             && at(joint).distance(at(wrist)) < REACH_MAX * forearm
-            && at(joint).y > HEIGHT_MIN
+            && at(joint).y > FEET_HEIGHT
             && (from_middle(at(joint)) > 0.0) == (from_middle(at(wrist)) > 0.0)
     };
     side(at(wrist)).is_some()
         && side(at(elbow)) == side(at(wrist))
-        && at(wrist).y > HEIGHT_MIN
+        && at(wrist).y > FEET_HEIGHT
         && joints.iter().all(belongs)
         && skeleton.joints[elbow].parent.is_some()
 }
 
 /// All joints below `joint`, ascending: parents precede children.
-fn below(joint: usize, children: &[Vec<usize>]) -> Vec<usize> {
+pub(super) fn below(joint: usize, children: &[Vec<usize>]) -> Vec<usize> {
     let mut found = children[joint].clone();
     let mut next = 0;
     while let Some(&at) = found.get(next) {

@@ -4,7 +4,7 @@
 //! |---------------------------------------|-------------------------------------------------------------------|
 //! | displaced points → joints             | [`detect_joints`], made of [`joint_clustering`], [`non_maximum_suppression`], [`symmetrize`]; [`joined_ends`] |
 //! | joints → tree → skeleton, bones       | [`spanning_tree`], [`skeleton`], [`deforming`]                    |
-//! | skeleton → one to animate             | [`hands`], [`limb_starts`]                                        |
+//! | skeleton → one to animate             | [`hands`], [`finger_bones`] by [`hand_shape`], [`limb_starts`]                                        |
 //! | boxes → skeleton, weights             | [`box_skeleton`], for characters made of them                     |
 //! | bone distances → what the networks read | [`bone_features`], [`heter_graph`]                             |
 //! | logits or distances → weights         | [`bone_weights`], [`distance_falloff`], [`heat_weights`], [`skin_weights`], [`mirror_weights`], [`locked_weights`] |
@@ -19,7 +19,9 @@ mod cell_grid;
 pub mod deforming;
 pub mod detect_joints;
 pub mod distance_falloff;
+pub mod finger_bones;
 pub mod forward_kinematics;
+pub mod hand_shape;
 pub mod hands;
 pub mod heat_weights;
 pub mod heter_graph;

@@ -33,7 +33,8 @@ pub struct OptionsView {
     #[param(required = false, value_type = SymmetryName)]
     #[schema(example = "auto", required = false, value_type = SymmetryName)]
     pub symmetry: &'static str,
-    /// Which fingers stay: `auto` (unless given) all but those of hands with two ends, `on` all that are found, `off` none.
+    /// `auto` (unless given): hands whose shape shows three or more fingers get the joints of these, others keep what the networks
+    /// find, but for two ends. `on`: the same with less to speak for a hand, and two ends stay. `off`: none.
     #[param(required = false, value_type = FingersName)]
     #[schema(example = "auto", required = false, value_type = FingersName)]
     pub fingers: &'static str,

@@ -40,7 +40,7 @@ words! {
     StageName as "Stage", "A step of the work.": Stage::ALL.map(Stage::name);
     SeverityName as "Severity", "`error`: the file cannot be rigged.": ["info", "warning", "error"];
     SymmetryName as "Symmetry", "`auto`: where a mirror plane is found.": Symmetry::words();
-    FingersName as "Fingers", "Which fingers stay.": Fingers::words();
+    FingersName as "Fingers", "Which fingers there are.": Fingers::words();
     SkinMethodName as "SkinMethod", "What weighs the vertices.": Option::<SkinMethod>::words();
     BoxesName as "Boxes", "What becomes of a character made of boxes.": Boxes::words();
     ExistingRigName as "ExistingRig", "What becomes of a skeleton that is there.": ExistingRigPolicy::words();
