@@ -25,7 +25,7 @@ use crate::rig::bone_weights::{BoneWeights, PRUNE_SHARE, SMOOTHINGS, TRACE_SHARE
 use crate::rig::deforming::Deforming;
 use crate::rig::distance_falloff::{FALLOFF, VOXEL_SMOOTHINGS, VOXEL_TRACE_SHARE, falloff_weights};
 use crate::rig::heat_weights::HEAT_TRACE_SHARE;
-use crate::rig::heter_graph::LINK_PRUNE_SHARE;
+use crate::rig::heter_graph::{LINK_PRUNE_SHARE, LINK_SPREAD};
 use crate::rig::skeleton::Bone;
 use crate::rig::verdict::{self, Quality};
 use crate::rig::{Rig, Skeleton, SkinWeights};
@@ -187,8 +187,8 @@ fn by_heter_skin_net(
     let links = weighed.heter_graph(shape, &joints.skeleton);
     watch.cancellation.check()?;
     let logits = net.link_logits(graph, &links, watch.cancellation)?;
-    let weights = links.weights(logits.iter().copied(), &weighed.bones).pruned(LINK_PRUNE_SHARE);
-    Ok((weights, weighed.nearest_bones()))
+    let weights = links.weights(logits.iter().copied(), &weighed.bones).pruned(TRACE_SHARE);
+    Ok((spread(weights, shape, LINK_SPREAD).pruned(LINK_PRUNE_SHARE), weighed.nearest_bones()))
 }
 
 /// Falloff of distances through voxels. Second: the nearest bones `[V, K]`.

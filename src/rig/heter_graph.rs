@@ -37,8 +37,11 @@ pub const SIGHT: usize = 32;
 const SEEN_FROM: f32 = 0.05;
 /// Of vertices [Knuth, The Art of Computer Programming, 6.4]: neighbours in the file are far apart in the order of their hashes.
 const HASH_FACTOR: u32 = 2_654_435_761;
+/// How far what the network says runs along the surface, of the strength of the option `smooth`: it answers vertex by vertex, and an artist
+/// paints. 30 organic validation characters, whole meshes: L1 .460, precision .804, recall .766 without.
+pub const LINK_SPREAD: f64 = 0.2;
 /// Weights below this share of a row's greatest are dropped.
-pub const LINK_PRUNE_SHARE: f32 = 0.05;
+pub const LINK_PRUNE_SHARE: f32 = 0.067;
 /// Stands for a distance that is infinite or absurd: two sides of the frame.
 const FAR: f32 = 2.0;
 
@@ -275,7 +278,10 @@ mod tests {
         let of = |joint: usize| &links[joint * SIGHT..][..SIGHT];
         assert_eq!(of(0), [0; SIGHT]);
         let of_first: Vec<usize> = of(1).iter().map(|link| *link as usize / LINKS).collect();
-        assert!(of_first.iter().all(|&vertex| vertex >= 20) && of(1).iter().all(|link| *link as usize % LINKS == 0));
+        assert!(
+            of_first.iter().all(|&vertex| vertex >= 20)
+                && of(1).iter().all(|link| (*link as usize).is_multiple_of(LINKS))
+        );
         assert!(
             of_first.iter().any(|&vertex| vertex < 40) && of_first.iter().any(|&vertex| vertex > 80),
             "{of_first:?}"
