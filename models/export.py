@@ -44,6 +44,7 @@ UNTUNED_CALIBRATION = {
 }
 
 LINKS_PER_VERTEX = 8
+ROOT_MEMBERS = 2  # the third run of rignet_skeleton_stage connects well and finds poor roots (TRAINING.md, the fifth round)
 
 
 def random_inputs(names, seed: int, sizes: dict[str, int]) -> dict[str, np.ndarray]:
@@ -145,6 +146,8 @@ def trained(name: str, joint_stage: bool) -> tuple[torch.nn.Module, Settings, di
     members, records = zip(*(averaged_network(run) for run in runs))
     if part:
         members = [getattr(member, part) for member in members]
+    if part == "root":
+        members, records, runs = members[:ROOT_MEMBERS], records[:ROOT_MEMBERS], runs[:ROOT_MEMBERS]
     network = members[0] if len(members) == 1 else Committee(list(members)).eval()
     training, *others = [training_record(source, run, record) for run, record in zip(runs, records)]
     if others:
