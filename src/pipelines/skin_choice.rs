@@ -17,7 +17,7 @@ impl SkinMethod {
     /// What was measured of the shipped networks; the tables of `docs/models.md`, with which a test compares it.
     pub const fn measured(self) -> MeasuredL1 {
         let [organic, boxes, all] = match self {
-            Self::HeterSkinNet => [0.503, 0.495, 0.500],
+            Self::HeterSkinNet => [0.455, 0.485, 0.467],
             Self::RigNet => [0.635, 0.842, 0.715],
             Self::GeodesicHeat => [0.577, 0.829, 0.675],
             Self::GeodesicVoxel => [0.583, 0.828, 0.678],

@@ -355,7 +355,7 @@ fn moving_an_elbow_changes_weights_near_it_and_hardly_elsewhere() {
     for method in ["geodesic_voxel", "geodesic_heat", "heter_skin_net"] {
         let (near, far, most) = changed(method);
         let told = format!("{method}: {near} near, {far} of {} elsewhere, at most {most:.3}", vertices.len());
-        assert!(near > 100 && far * 200 <= vertices.len() && most < 0.1, "{told}");
+        assert!(near > 100 && far * 1000 <= vertices.len() && most < 0.1, "{told}");
     }
 }
 
