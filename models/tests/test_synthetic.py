@@ -30,6 +30,18 @@ def test_every_family_makes_a_sound_character(family):
     assert (weights > 0).sum(1).max() <= 4
 
 
+def test_skirts_have_joints_outside_their_cloth():
+    away = []
+    for seed in range(4):
+        made = generate(seed, target_vertices=1000, family="skirted")
+        hips = np.bincount(made.parents[1:]).argmax()
+        ring = made.joints[made.parents == hips]
+        reach = np.hypot(*(ring - made.joints[hips])[:, [0, 2]].T)
+        assert (reach > 0.04).sum() >= 8, "a ring of eight panels hangs on the hips"
+        away.append(reach.max())
+    assert max(away) > min(away) + 0.01
+
+
 def test_the_same_seed_is_the_same_character():
     first, second = generate(3), generate(3)
     assert first.family == second.family

@@ -24,6 +24,7 @@ from . import augment, targets
 from .character import Character, write_cache
 from .predicted import with_joints
 from .shards import Rig, RigShard
+from .synthetic.families import FAMILIES
 
 WORKING_VERTICES = 1100
 WORKING_SPREAD = 0.15  # the vertex count is drawn within so much of it
@@ -143,12 +144,12 @@ def shard_rigs(path: Path, count: int | None, program: Program | None = None) ->
     return rigs
 
 
-def synthetic_rigs(first_seed: int, count: int) -> list[Rig]:
+def synthetic_rigs(first_seed: int, count: int, family: str | None = None) -> list[Rig]:
     from .synthetic import GENERATOR_VERSION, generate
 
     rigs = []
     for seed in range(first_seed, first_seed + count):
-        made = generate(seed, target_vertices=1000)
+        made = generate(seed, target_vertices=1000, family=family)
         meta = {"id": f"synthetic-v{GENERATOR_VERSION}-{seed}", "name": f"synthetic-{seed}", "source": "synthetic", "license": "own",
                 "family": made.family, "category": made.family, "style": "synthetic", "draw_weight": 1.0}
         rigs.append(Rig(made.vertices, without_flat_faces(made.faces, made.vertices), made.joints, made.parents, made.weights, meta))
@@ -165,6 +166,7 @@ def main() -> None:
     synthetic = kinds.add_parser("synthetic")
     synthetic.add_argument("--first-seed", type=int, required=True)
     synthetic.add_argument("--count", type=int, required=True)
+    synthetic.add_argument("--family", choices=FAMILIES, help="one kind of character in place of the draw")
     for part in (shard, synthetic):
         part.add_argument("-o", "--output", type=Path, required=True)
         part.add_argument("--variants", type=int, default=0, help="so many altered rigs in place of each rig as it is")
@@ -175,7 +177,7 @@ def main() -> None:
         program = None if arguments.predicted is None else Program(arguments.rigsmith, arguments.predicted)
         rigs = shard_rigs(arguments.shard, arguments.count, program)
     else:
-        rigs = synthetic_rigs(arguments.first_seed, arguments.count)
+        rigs = synthetic_rigs(arguments.first_seed, arguments.count, arguments.family)
     if arguments.variants:
         rigs = [variant(rig, np.random.default_rng([17, k, v])) for k, rig in enumerate(rigs) for v in range(arguments.variants)]
     characters = []

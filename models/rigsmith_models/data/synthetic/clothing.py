@@ -22,8 +22,11 @@ def cover(sketch: Sketch, joints: list[int], grow: float, material: str, *, sing
     return shell
 
 
-def skirt(sketch: Sketch, hips: int, centre, radius: float, length: float, *, jointed: bool) -> None:
-    """A ring of panels from `centre` down, each with none, one or two joints; a robe when long. Sometimes one-sided."""
+def skirt(sketch: Sketch, hips: int, centre, radius: float, length: float, *, jointed: bool, outside: float = 0.0, tips: bool = False) -> None:
+    """A ring of panels from `centre` down, each with none, one or two joints; a robe when long. Sometimes one-sided.
+
+    The joints lie so far `outside` the cloth; with `tips` every chain ends with one at the hem.
+    """
     shell = sketch.new_shell()
     hem = radius * sketch.uniform(1.15, 1.7)
     bones = sketch.integer(1, 2) if jointed else 0
@@ -35,14 +38,17 @@ def skirt(sketch: Sketch, hips: int, centre, radius: float, length: float, *, jo
         outwards = np.array([np.sin(angle), 0, np.cos(angle)])
         start, end = centre + outwards * radius, centre + outwards * hem - UP * length
         worn = {"shell": shell, "material": "cloth", "squash": (outwards, 0.35)}
-        owner = sketch.joint(start, hips) if bones else hips
+        beside = outwards * outside
+        owner = sketch.joint(start + beside, hips) if bones else hips
         if bones == 2:
             middle = (start + end) / 2
             sketch.limb(owner, start, middle, radius * 0.42, radius * 0.45, **worn)
-            owner = sketch.joint(middle, owner)
+            owner = sketch.joint(middle + beside, owner)
             sketch.limb(owner, middle, end, radius * 0.45, radius * 0.5, **worn)
         else:
             sketch.limb(owner, start, end, radius * 0.45, radius * 0.55, **worn)
+        if bones and tips:
+            sketch.joint(end + beside, owner)
 
 
 def cape(sketch: Sketch, chest: int, neck, width: float, length: float) -> None:

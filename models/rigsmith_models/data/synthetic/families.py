@@ -13,7 +13,7 @@ from .sketch import FORWARD, SIDEWAYS, UP, Sketch, mirrored
 
 
 def biped(sketch: Sketch, kind: str) -> None:
-    """Humans, chibis, brutes, beasts, winged and many-armed ones."""
+    """Humans, chibis, brutes, beasts, winged and many-armed ones, and those in a skirt whose joints lie outside it."""
     chibi = kind == "chibi"
     leg_height = sketch.uniform(0.22, 0.36) if chibi else sketch.uniform(0.42, 0.54)
     head_radius = sketch.uniform(0.15, 0.24) if chibi else sketch.uniform(0.062, 0.10)
@@ -61,6 +61,10 @@ def biped(sketch: Sketch, kind: str) -> None:
             wing(sketch, side, chest, [side * 0.03, shoulder_height - 0.04, -hip_radius * 0.7], span, radius)
     if sketch.squareness == 2.0:
         _dress(sketch, hips, spine, arms, legs, skull, skull_centre, top, hip_radius, head_radius, radius)
+    if kind == "skirted":
+        centre = sketch.joints[hips] + UP * 0.01
+        clothing.skirt(sketch, hips, centre, hip_radius * sketch.uniform(1.0, 1.25), sketch.uniform(0.12, centre[1] * 0.85), jointed=True,
+                       outside=sketch.uniform(0, 0.06), tips=sketch.chance(0.6))
 
 
 def _dress(sketch, hips, spine, arms, legs, skull, skull_centre, top, hip_radius, head_radius, radius) -> None:
@@ -374,4 +378,5 @@ FAMILIES: dict[str, tuple[float, Callable[[Sketch], None]]] = {
     "snake": (0.02, snake),
     "octopus": (0.01, octopus),
     "blob": (0.04, blob),
+    "skirted": (0.0, lambda sketch: biped(sketch, "skirted")),  # only where it is asked for: more of what the draw has too little of
 }
