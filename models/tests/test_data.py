@@ -20,13 +20,14 @@ def test_a_shard_gives_back_its_rigs(tmp_path):
     arrays = {
         "vertices": CUBE.astype(np.float32), "faces": CUBE_FACES.astype(np.int32),
         "joints": np.array([[0, 0.2, 0], [0, 0.8, 0]], np.float32), "parents": np.array([-1, 0], np.int16),
-        "w_indptr": np.arange(0, 17, 2, dtype=np.int32), "w_joint": np.tile([0, 1], 8).astype(np.uint8),
+        "names": np.array(["root", "tip"]), "w_indptr": np.arange(0, 17, 2, dtype=np.int32), "w_joint": np.tile([0, 1], 8).astype(np.uint8),
         "w_value": np.tile([16384, 49151], 8).astype(np.uint16),
     }
     meta = np.frombuffer(json.dumps([{"name": "cube"}]).encode(), np.uint8)
     np.savez_compressed(tmp_path / "tiny.npz", meta_json=meta, **{f"0000/{k}": v for k, v in arrays.items()})
     shard = RigShard(tmp_path / "tiny.npz")
     assert len(shard) == 1 and shard[0].meta == {"name": "cube"}
+    assert shard[0].names == ("root", "tip")
     np.testing.assert_allclose(shard[0].weights, np.tile([0.25, 0.75], (8, 1)), atol=1e-4)
 
 
