@@ -37,8 +37,11 @@ fn pose(path: &Path) -> Result<Value, Box<dyn Error>> {
     let gltf = gltf::Gltf::from_slice(&std::fs::read(path)?)?;
     let buffers = buffers(&gltf, path)?;
     let skin = only(gltf.skins(), "skin")?;
-    let skeleton = skeleton(&gltf, &skin, &buffers)?;
+    let (skeleton, orientations) = skeleton(&gltf, &skin, &buffers)?;
     let rotations: Vec<DQuat> = (0..skeleton.joints.len()).map(rotation).collect();
+    // Our skinning turns joints about the axes of the world at rest; the file's about their own.
+    let in_world: Vec<DQuat> =
+        rotations.iter().zip(&orientations).map(|(&turn, &own)| own * turn * own.inverse()).collect();
 
     let mut primitives = Vec::new();
     let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
@@ -54,7 +57,7 @@ fn pose(path: &Path) -> Result<Value, Box<dyn Error>> {
             let joints = reader.read_joints(0).ok_or("a primitive without joints")?.into_u16();
             let weights = reader.read_weights(0).ok_or("a primitive without weights")?.into_f32();
             let rows = joints.zip(weights).map(|(joints, weights)| influences(joints, weights)).collect();
-            let posed = posed_positions(&rest, &skeleton, &SkinWeights { rows }, &rotations);
+            let posed = posed_positions(&rest, &skeleton, &SkinWeights { rows }, &in_world);
             for position in &rest {
                 (low, high) = (low.min(position.y), high.max(position.y));
             }
@@ -97,8 +100,13 @@ fn only<T>(mut items: impl Iterator<Item = T>, what: &str) -> Result<T, String> 
     }
 }
 
-/// The skin's joints as a skeleton. Positions come from the inverse bind matrices, so that they are checked too.
-fn skeleton(gltf: &gltf::Gltf, skin: &gltf::Skin, buffers: &[Vec<u8>]) -> Result<Skeleton, Box<dyn Error>> {
+/// The skin's joints as a skeleton, and their orientations at rest. Both come from the inverse bind matrices, so that they are
+/// checked too.
+fn skeleton(
+    gltf: &gltf::Gltf,
+    skin: &gltf::Skin,
+    buffers: &[Vec<u8>],
+) -> Result<(Skeleton, Vec<DQuat>), Box<dyn Error>> {
     let nodes: Vec<usize> = skin.joints().map(|joint| joint.index()).collect();
     let inverse_bind: Vec<DMat4> = skin
         .reader(|buffer| buffers.get(buffer.index()).map(Vec::as_slice))
@@ -106,7 +114,7 @@ fn skeleton(gltf: &gltf::Gltf, skin: &gltf::Skin, buffers: &[Vec<u8>]) -> Result
         .ok_or("no inverse bind matrices")?
         .map(|columns| DMat4::from_cols_array_2d(&columns.map(|column| column.map(f64::from))))
         .collect();
-    let mut joints = Vec::new();
+    let (mut joints, mut orientations) = (Vec::new(), Vec::new());
     for (place, node) in skin.joints().enumerate() {
         let parent = gltf.nodes().find(|other| other.children().any(|child| child.index() == node.index()));
         let parent = parent.and_then(|parent| nodes.iter().position(|&index| index == parent.index()));
@@ -114,17 +122,12 @@ fn skeleton(gltf: &gltf::Gltf, skin: &gltf::Skin, buffers: &[Vec<u8>]) -> Result
             return Err("a joint precedes its parent".into());
         }
         let name = node.name().ok_or("a joint without a name")?.to_owned();
-        joints.push(Joint {
-            name,
-            parent,
-            position: inverse_bind
-                .get(place)
-                .ok_or("too few inverse bind matrices")?
-                .inverse()
-                .transform_point3(DVec3::ZERO),
-        });
+        let bind = inverse_bind.get(place).ok_or("too few inverse bind matrices")?.inverse();
+        let (_, orientation, position) = bind.to_scale_rotation_translation();
+        joints.push(Joint { name, parent, position });
+        orientations.push(orientation);
     }
-    Ok(Skeleton { joints })
+    Ok((Skeleton { joints }, orientations))
 }
 
 fn influences(joints: [u16; 4], weights: [f32; 4]) -> Vec<Influence> {
