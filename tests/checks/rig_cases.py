@@ -3,7 +3,8 @@
     python rig_cases.py [--previews] [--limit N] FOLDER
 
 Cases: our sample character; characters of the generator, as OBJ and as GLB; and, where the project's shared data folder
-lies beside the repository, its sample files (existing skeletons replaced) and a spread of its rigs without their rig, as
+lies beside the repository, its sample files (existing skeletons replaced, and two whose joints are turned kept: in their
+place, and as a file of their own) and a spread of its rigs without their rig, as
 OBJ and as GLB. FOLDER gets the inputs, one output per case, one pose per output (examples/pose.rs) and `cases.json`.
 Ends with the summary that `make test` adds up. A case that takes longer than SECONDS counts as failed.
 """
@@ -36,6 +37,8 @@ SECONDS = 120
 GENERATED = [
     (101, "human"), (102, "chibi"), (103, "robot"), (104, "quadruped"), (105, "dragon"), (106, "bird"), (107, "fish"), (108, "bug"),
 ]  # fmt: skip
+# Artists' files whose joints have orientations.
+TURNED = ("m2m_human_male_rigged", "quaternius_shark_rigged")
 SHARD_RIGS = 44  # spread over the shards below
 SHARDS = ("train.npz", "train2.npz", "train_box.npz", "val.npz", "val2.npz")
 
@@ -45,6 +48,7 @@ class Case:
     name: str
     input: Path
     arguments: tuple[str, ...] = ()
+    command: str = "rig"
 
 
 def our_own(folder: Path) -> list[Case]:
@@ -71,6 +75,9 @@ def shared_samples(folder: Path) -> list[Case]:
         copy = folder / "input" / path.name
         shutil.copy(path, copy)
         cases.append(Case(path.stem, copy, ("--existing-rig", "replace") if "_rigged" in path.stem else ()))
+        if path.stem in TURNED:
+            cases.append(Case(f"{path.stem}-kept", copy, command="skin"))
+            cases.append(Case(f"{path.stem}-apart", copy, ("--existing-rig", "replace", "--skeleton", str(copy)), "skin"))
     return cases
 
 
@@ -98,7 +105,7 @@ def rig(case: Case, folder: Path, previews: bool) -> str | None:
     outputs = ["-o", str(folder / f"{case.name}.glb")]
     if previews:
         outputs += ["-o", str(folder / f"{case.name}.png")]
-    command = [str(BINARY), "rig", str(case.input), *outputs, *case.arguments]
+    command = [str(BINARY), case.command, str(case.input), *outputs, *case.arguments]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=SECONDS, cwd=ROOT)
     except subprocess.TimeoutExpired:
