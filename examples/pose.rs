@@ -5,11 +5,12 @@
 //!
 //! ```json
 //! { "height": 1.8,
-//!   "joints": [{ "name": "hips", "node": 3, "rotation": [x, y, z, w] }, …],
+//!   "joints": [{ "name": "hips", "node": 3, "rotation": [x, y, z, w], "in_world": [x, y, z, w] }, …],
 //!   "primitives": [{ "mesh": 0, "primitive": 0, "rest": [[x, y, z], …], "positions": [[x, y, z], …] }, …] }
 //! ```
 //!
-//! The rotation is local to the joint and comes after the joint's own rest rotation.
+//! The rotation is local to the joint and comes after the joint's own rest rotation; `in_world` is the same turn in the axes of
+//! the world at rest.
 
 use glam::{DMat4, DQuat, DVec3};
 use rigsmith::rig::linear_blend_skinning::posed_positions;
@@ -70,9 +71,12 @@ fn pose(path: &Path) -> Result<Value, Box<dyn Error>> {
     if primitives.is_empty() {
         return Err("no mesh of the file has a skin".into());
     }
-    let joints = skin.joints().zip(&rotations).map(
-        |(joint, rotation)| json!({ "name": joint.name(), "node": joint.index(), "rotation": rotation.to_array() }),
-    );
+    let joints = skin.joints().zip(rotations.iter().zip(&in_world)).map(|(joint, (own, in_world))| {
+        json!({
+            "name": joint.name(), "node": joint.index(),
+            "rotation": own.to_array(), "in_world": in_world.to_array(),
+        })
+    });
     Ok(json!({ "height": high - low, "joints": joints.collect::<Vec<_>>(), "primitives": primitives }))
 }
 

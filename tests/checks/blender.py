@@ -35,18 +35,19 @@ def load(path: Path) -> tuple[bpy.types.Object, list[bpy.types.Object]]:
 
 
 def turn(armature: bpy.types.Object, joints: list[dict]) -> None:
-    """Turns each bone about its head by a rotation given in the axes of the joint's rest pose, on top of its parent's.
+    """Turns each bone about its head by a rotation given in the axes of the world at rest, on top of its parent's.
 
-    glTF joints of ours have the axes of the world, Blender's bones have their own: with B the bone's rest axes, the
-    turn R becomes B^-1 C R C^-1 B, C from glTF's axes to Blender's.
+    Blender's bones have axes of their own, within those of the armature: with B the bone's rest axes and A the armature's, the
+    turn R becomes (A B)^-1 C R C^-1 A B, C from glTF's axes to Blender's.
     """
+    own = armature.matrix_world.to_quaternion().to_matrix()
     for joint in joints:
         bone = armature.pose.bones.get(joint["name"])
         if bone is None:
             raise ValueError(f"the joint {joint['name']} is not a bone in Blender")
-        x, y, z, w = joint["rotation"]
+        x, y, z, w = joint["in_world"]
         in_blender = TO_BLENDER @ Quaternion((w, x, y, z)).to_matrix() @ TO_BLENDER.transposed()
-        rest = bone.bone.matrix_local.to_3x3()
+        rest = own @ bone.bone.matrix_local.to_3x3()
         bone.rotation_mode = "QUATERNION"
         bone.rotation_quaternion = (rest.inverted() @ in_blender @ rest).to_quaternion()
     bpy.context.view_layer.update()

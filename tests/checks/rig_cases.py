@@ -37,8 +37,9 @@ SECONDS = 120
 GENERATED = [
     (101, "human"), (102, "chibi"), (103, "robot"), (104, "quadruped"), (105, "dragon"), (106, "bird"), (107, "fish"), (108, "bug"),
 ]  # fmt: skip
-# Artists' files whose joints have orientations.
-TURNED = ("m2m_human_male_rigged", "quaternius_shark_rigged")
+# Artists' files whose joints have orientations. The shark's mesh and armature differ in scale, which Blender's importer keeps apart, so it
+# is only sent apart.
+TURNED_KEPT, TURNED_APART = ("m2m_human_male_rigged",), ("m2m_human_male_rigged", "quaternius_shark_rigged")
 SHARD_RIGS = 44  # spread over the shards below
 SHARDS = ("train.npz", "train2.npz", "train_box.npz", "val.npz", "val2.npz")
 
@@ -75,8 +76,9 @@ def shared_samples(folder: Path) -> list[Case]:
         copy = folder / "input" / path.name
         shutil.copy(path, copy)
         cases.append(Case(path.stem, copy, ("--existing-rig", "replace") if "_rigged" in path.stem else ()))
-        if path.stem in TURNED:
+        if path.stem in TURNED_KEPT:
             cases.append(Case(f"{path.stem}-kept", copy, command="skin"))
+        if path.stem in TURNED_APART:
             cases.append(Case(f"{path.stem}-apart", copy, ("--existing-rig", "replace", "--skeleton", str(copy)), "skin"))
     return cases
 
