@@ -6,7 +6,7 @@ use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 use figure::{bones, figure};
 use rigsmith::geometry::bone_pairs::BonePair;
 use rigsmith::geometry::bvh::Bvh;
-use rigsmith::geometry::hollow_distance::{HOLLOW_RESOLUTION, hollow_distance};
+use rigsmith::geometry::hollow_distance::{HOLLOW_RESOLUTION, HollowDistance, VertexDistances};
 use rigsmith::geometry::medial_offset::medial_offsets;
 use rigsmith::geometry::neighbor_table::{GEODESIC_CAP, NeighborTable};
 use rigsmith::geometry::orientation::guess_orientation;
@@ -64,8 +64,10 @@ fn stages(criterion: &mut Criterion) {
         });
         bench("voxel_binding", &|| sink(VoxelBinding::new(mesh, &solid, &bones).distances(&mesh.positions)));
         bench("bone_euclid", &|| sink(bone_euclid(&mesh.positions, &bones)));
-        let straight = bone_euclid(&mesh.positions, &bones);
-        bench("hollow_distance", &|| sink(hollow_distance(mesh, &bones, straight.clone(), HOLLOW_RESOLUTION)));
+        bench("hollow_distance", &|| {
+            let nearest = |vertex: VertexDistances| vertex.hollow.iter().copied().reduce(f32::min);
+            sink(HollowDistance::new(mesh, &bones, HOLLOW_RESOLUTION).map(nearest));
+        });
         bench("medial_offset", &|| sink(medial_offsets(mesh, &surface)));
         bench("transfer", &|| sink(transfer_map(&upload, &working)));
     }

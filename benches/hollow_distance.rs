@@ -1,14 +1,15 @@
 //! How HollowDist grows with bones, with cells and with faces: CPU-seconds of one thread, least of [`REPEATS`] runs, and for
-//! a large mesh the memory.
+//! a large mesh the memory. Distances are asked for as HeterSkinNet asks: row by row, of which the nearest bones are kept.
 //!
 //! `cargo bench --bench hollow_distance`. CPU-seconds are the process's: noise of other programs only adds to them.
 
 use cpu_time::ProcessTime;
 use figure::{bones, figure};
 use glam::DVec3;
-use rigsmith::geometry::hollow_distance::{HOLLOW_RESOLUTION, hollow_distance};
-use rigsmith::geometry::volumetric_geodesic::{Segment, bone_euclid};
+use rigsmith::geometry::hollow_distance::{HOLLOW_RESOLUTION, HollowDistance, VertexDistances};
+use rigsmith::geometry::volumetric_geodesic::Segment;
 use rigsmith::mesh::Mesh;
+use rigsmith::rig::heter_graph::LINKS;
 use std::time::Duration;
 
 mod figure;
@@ -27,18 +28,18 @@ fn main() {
 fn tables() {
     // The largest first: what it needs is then not hidden by memory that smaller ones left behind.
     let million = figure(360);
-    let begun = resident("VmRSS:");
+    let (begun, before) = (resident("VmRSS:"), resident("VmHWM:"));
     let time = least_time(&million, &some_bones(200), 128);
-    let answer = million.positions.len() * 200 * size_of::<f32>();
+    let peak = resident("VmHWM:");
     let mib = |bytes: usize| bytes as f64 / f64::from(1 << 20);
     println!("{} faces, 200 bones, 128³: {:.2} CPU-s", million.triangles.len(), time.as_secs_f64());
-    let peak = resident("VmHWM:");
-    let beside = peak.saturating_sub(begun + answer);
     println!(
-        "{:.0} MiB at the most, of which answer {:.0}, beside it and mesh {:.0}",
+        "{:.0} MiB at the most, of which mesh and program {:.0}, answer {:.0} ({LINKS} bones of each vertex); \
+         {:.0} at the most while the mesh was made",
         mib(peak),
-        mib(answer),
-        mib(beside)
+        mib(begun),
+        mib(million.positions.len() * size_of::<Nearest>()),
+        mib(before),
     );
 
     let mesh = figure(36);
@@ -59,11 +60,25 @@ fn tables() {
 fn least_time(mesh: &Mesh, bones: &[Segment], resolution: usize) -> Duration {
     let timed = |_| {
         let begun = ProcessTime::now();
-        let straight = bone_euclid(&mesh.positions, bones);
-        std::hint::black_box(hollow_distance(mesh, bones, straight, resolution));
+        std::hint::black_box(HollowDistance::new(mesh, bones, resolution).map(nearest));
         begun.elapsed()
     };
     (0..REPEATS).map(timed).min().unwrap_or_default()
+}
+
+/// Bones and how far they are, nearest first.
+type Nearest = [(u32, f32); LINKS];
+
+fn nearest(vertex: VertexDistances) -> Nearest {
+    let mut nearest = [(0, f32::INFINITY); LINKS];
+    for (bone, &distance) in (0..).zip(vertex.hollow) {
+        if distance < nearest[LINKS - 1].1 {
+            let place = nearest.partition_point(|known| known.1 <= distance);
+            nearest[place..].rotate_right(1);
+            nearest[place] = (bone, distance);
+        }
+    }
+    nearest
 }
 
 /// The figure's bones again and again, moved a little each time.

@@ -6,7 +6,8 @@
 //! | `mesh`     | `[V, 3]`    | any space |
 //! | `bones`    | `[B, 2, 3]` | the same  |
 //!
-//! Out: `[V, B]`, row-major, in the mesh's unit; finite where the straight distance fits single precision.
+//! Out: one row `[B]` per vertex, in the mesh's unit; finite where the straight distance fits single precision. Rows
+//! are given to a reducer one by one, so that a large mesh needs no table `[V, B]`: see [`HollowDistance::map`].
 //!
 //! Cells of a regular grid are *mesh* cells where the surface touches them, *hollow* cells elsewhere, inside and outside
 //! alike. A search spreads from the cells of a bone through hollow cells and into mesh cells; from a mesh cell it goes on to other
@@ -17,6 +18,10 @@
 //! All bones are searched at once, layer by layer, one bit per bone and 64 bones a word, and a layer spreads over whole lines of
 //! cells: O(C · L · ⌈B/64⌉), C the cells of lines that are met, L at most the layers that a line takes to be met by all. Words in
 //! parallel; same bits for any number of threads.
+//!
+//! Kept are 4 bytes for each bone and each vertex, or for each bone and each cell that holds a vertex or is beside one, whichever are
+//! fewer: of a million vertices at 128³ the cells, of a working mesh at 88³ the vertices (its cells are 9,000 to 34,000, measured on
+//! 44 validation characters).
 //! # Choices where the paper is silent
 //! - Five layers in turn spread over faces, all 26 neighbours, faces, all, faces. A way of that kind is at most 4 % shorter and
 //!   5 % longer than the straight one in open space; over faces alone it would be up to 73 % longer.
@@ -24,178 +29,144 @@
 //! - No distance is shorter than the straight one.
 //! - Only the part of the grid about the mesh is searched, with a margin of one cell to walk around it.
 
-use super::hollow_search::{Met, NEVER, Search};
+use super::hollow_field::Field;
+use super::hollow_search::WORD;
+use super::hollow_ways::Ways;
 use super::surface_voxels::Lattice;
-use super::volumetric_geodesic::Segment;
+use super::volumetric_geodesic::{Segment, bone_euclid};
 use crate::mesh::Mesh;
+use glam::DVec3;
 use rayon::prelude::*;
 
 /// Cells along the longest side unless asked otherwise (the paper's).
 pub const HOLLOW_RESOLUTION: usize = 88;
 /// The finest grid: every doubling costs eight times as much.
 pub const HOLLOW_RESOLUTION_MAX: usize = 256;
-pub(super) const WORD: usize = 64;
+/// Vertices whose rows are made at once: many, because those of one cell share most of the work; few, because their rows may be all
+/// that is held of the table of distances.
+const BLOCK: usize = 64;
 
-/// HollowDist from every vertex of `mesh` to every bone, `[V, B]`; `resolution` cells along the longest side.
-///
-/// `straight` are the straight distances of the same vertices and bones ([`super::volumetric_geodesic::bone_euclid`]), which are
-/// made longer in place: the answer is the greater part of the memory.
-pub fn hollow_distance(mesh: &Mesh, bones: &[Segment], straight: Vec<f32>, resolution: usize) -> Vec<f32> {
-    let mut distances = straight;
-    let lattice = Lattice::around(mesh, resolution.clamp(1, HOLLOW_RESOLUTION_MAX));
-    let Some(lattice) = lattice.filter(|_| !bones.is_empty()) else { return distances };
-    let field = Field::new(&lattice, mesh);
-    let mut rows = field.rows(&mut distances, bones.len());
-    // As many words at once as there are threads: what each has met is the greater part of the memory, beside the result.
-    let words_at_once = rayon::current_num_threads().max(1);
-    for (group, bones_of_group) in bones.chunks(WORD * words_at_once).enumerate() {
-        let words: Vec<Searched> = bones_of_group.par_chunks(WORD).map(|word| field.searched(word)).collect();
-        let first = group * WORD * words_at_once;
-        let cells = rows.par_chunk_by_mut(|one, other| one.cell == other.cell);
-        cells.for_each(|rows_of_cell| field.lengthen(rows_of_cell, &words, first));
-    }
-    distances
-}
-
-/// When up to 64 bones met the cells around the vertices.
-struct Searched {
-    /// How far each bone is from the cells it began in.
-    offsets: Vec<f64>,
-    /// `[kept, bones]`
-    met: Vec<Met>,
-}
-
-/// The distances of one vertex.
-struct Row<'a> {
-    /// As a number in `kept`.
-    cell: u32,
-    vertex: u32,
-    /// `[B]`
-    distances: &'a mut [f32],
-}
-
-/// The grid of one mesh, and where its vertices are in it.
-pub(super) struct Field<'a> {
-    pub lattice: &'a Lattice,
+/// HollowDist between the vertices of a mesh and bones.
+pub struct HollowDistance<'a> {
     mesh: &'a Mesh,
-    pub is_mesh: Vec<bool>,
-    /// Offsets between indices of neighbours: the first six share a face.
-    pub steps: [isize; 26],
-    /// The cell of each vertex, as a number in `kept`. `[V]`
-    cell_of_vertex: Vec<u32>,
-    /// Cells whose layers are kept: mesh cells, and the neighbours of cells that hold a vertex. Ascending.
-    pub kept: Vec<u32>,
-    /// Number in `kept`, or `u32::MAX`. `[cells]`
-    pub number: Vec<u32>,
-    /// Whether a kept cell holds a vertex.
-    pub holds_vertex: Vec<bool>,
-    pub holding_count: u32,
+    bones: &'a [Segment],
+    /// The vertices, those of one cell side by side. `[V]`
+    order: Vec<u32>,
+    kept: Kept,
 }
 
-impl<'a> Field<'a> {
-    fn new(lattice: &'a Lattice, mesh: &'a Mesh) -> Self {
-        let is_mesh = lattice.surface(mesh);
-        let mut wanted = is_mesh.clone();
-        let steps = steps(lattice);
-        let cell_of = |&position| lattice.holding(lattice.to_cells(position)) as u32;
-        let mut cell_of_vertex: Vec<u32> = mesh.positions.iter().map(cell_of).collect();
-        for &cell in &cell_of_vertex {
-            wanted[cell as usize] = true;
-            steps.iter().for_each(|&step| wanted[(cell as usize).wrapping_add_signed(step)] = true);
-        }
-        let kept: Vec<u32> = (0..wanted.len()).filter(|&cell| wanted[cell]).map(|cell| cell as u32).collect();
-        let mut number = vec![u32::MAX; wanted.len()];
-        kept.iter().enumerate().for_each(|(at, &cell)| number[cell as usize] = at as u32);
-        let mut holds_vertex = vec![false; kept.len()];
-        for cell in &mut cell_of_vertex {
-            *cell = number[*cell as usize];
-            holds_vertex[*cell as usize] = true;
-        }
-        let holding_count = holds_vertex.iter().filter(|holds| **holds).count() as u32;
-        Self { lattice, mesh, is_mesh, steps, cell_of_vertex, kept, number, holds_vertex, holding_count }
-    }
-
-    /// The rows of `distances`, those of one cell side by side.
-    fn rows<'d>(&self, distances: &'d mut [f32], bone_count: usize) -> Vec<Row<'d>> {
-        let rows = distances.chunks_exact_mut(bone_count).zip(&self.cell_of_vertex).zip(0..);
-        let mut rows: Vec<Row> = rows.map(|((distances, &cell), vertex)| Row { cell, vertex, distances }).collect();
-        rows.sort_unstable_by_key(|row| (row.cell, row.vertex));
-        rows
-    }
-
-    /// Searches from up to 64 bones.
-    fn searched(&self, bones: &[Segment]) -> Searched {
-        let mut search = Search::new(self, bones.len());
-        let to_cells = |&(start, end): &Segment| (self.lattice.to_cells(start), self.lattice.to_cells(end));
-        let offsets = bones.iter().map(to_cells).enumerate().map(|(at, bone)| search.begin(at, bone)).collect();
-        search.run();
-        Searched { offsets, met: search.when }
-    }
-
-    /// Makes the straight distances of the vertices of one cell to the bones of `words`, of which `first` is the first, as long as
-    /// the ways that were found.
-    fn lengthen(&self, rows: &mut [Row], words: &[Searched], first: usize) {
-        let Some(own) = rows.first().map(|row| row.cell as usize) else { return };
-        let cell = self.kept[own] as usize;
-        let neighbours = self.steps.map(|step| cell.wrapping_add_signed(step));
-        let centres = neighbours.map(|neighbour| self.lattice.centre(neighbour));
-        let numbers = neighbours.map(|neighbour| self.number[neighbour] as usize);
-        for (word, first) in words.iter().zip((first..).step_by(WORD)) {
-            let count = word.offsets.len();
-            let here = &word.met[own * count..][..count];
-            // By how many layers each bone met a neighbour before this cell (small numbers, which single precision holds).
-            let mut before = [[f32::INFINITY; WORD]; 26];
-            for (before, number) in before.iter_mut().zip(numbers) {
-                let there = &word.met[number * count..][..count];
-                for ((before, here), there) in before.iter_mut().zip(here).zip(there) {
-                    if there.start <= here.start && there.layer < here.layer {
-                        *before = -f32::from(here.layer - there.layer);
-                    }
-                }
-            }
-            // Nothing is farther than straight in the cells where a bone begins, and in those that it never met.
-            let mut own_ways = [f64::NEG_INFINITY; WORD];
-            for ((way, here), offset) in own_ways.iter_mut().zip(here).zip(&word.offsets) {
-                if here.layer != 0 && *here != NEVER {
-                    *way = offset + f64::from(here.layer);
-                }
-            }
-            for row in rows.iter_mut() {
-                let place = self.lattice.to_cells(self.mesh.positions[row.vertex as usize]);
-                let mut last_steps = [f32::INFINITY; WORD];
-                let last_steps = &mut last_steps[..count];
-                for (before, centre) in before.iter().zip(centres) {
-                    let step = place.distance(centre) as f32;
-                    for (least, before) in last_steps.iter_mut().zip(before) {
-                        let way = before + step;
-                        *least = if way < *least { way } else { *least };
-                    }
-                }
-                let distances = &mut row.distances[first..][..count];
-                for ((distance, way), step) in distances.iter_mut().zip(own_ways).zip(last_steps) {
-                    let way = ((way + f64::from(*step)) * self.lattice.cell) as f32;
-                    *distance = if way > *distance { way } else { *distance };
-                }
-            }
-        }
-    }
+/// What is kept of the search.
+enum Kept {
+    /// Nothing: every distance is straight. There are no bones, or the mesh has no extent.
+    Nothing,
+    /// The distances, vertices in order. `[V, B]`
+    Distances(Vec<f32>),
+    /// What distances are made of.
+    Ways(Box<Field>, Ways),
 }
 
-/// From a cell's index to its neighbours': over faces first.
-fn steps(lattice: &Lattice) -> [isize; 26] {
-    let strides = [lattice.size[1] * lattice.size[2], lattice.size[2], 1].map(|stride| stride as isize);
-    let mut all: Vec<[isize; 3]> = (0..27).map(|code| [code / 9 - 1, code / 3 % 3 - 1, code % 3 - 1]).collect();
-    all.retain(|offset| *offset != [0; 3]);
-    all.sort_by_key(|offset| offset.iter().map(|at| at.abs()).sum::<isize>() > 1);
-    std::array::from_fn(|at| all[at].iter().zip(strides).map(|(at, stride)| at * stride).sum())
+/// How far one vertex is from every bone, in the mesh's unit.
+#[derive(Clone, Copy, Debug)]
+pub struct VertexDistances<'a> {
+    pub vertex: usize,
+    /// HollowDist, never shorter than the straight distance. `[B]`
+    pub hollow: &'a [f32],
+    /// In a straight line, as [`bone_euclid`] has it. `[B]`
+    pub straight: &'a [f32],
+}
+
+impl<'a> HollowDistance<'a> {
+    /// Searches from all `bones`; `resolution` cells along the longest side, at most [`HOLLOW_RESOLUTION_MAX`].
+    pub fn new(mesh: &'a Mesh, bones: &'a [Segment], resolution: usize) -> Self {
+        Self::keeping(mesh, bones, resolution, |field| mesh.positions.len() < field.near_count)
+    }
+
+    /// `by_vertex`: whether distances are kept, not ways.
+    fn keeping(mesh: &'a Mesh, bones: &'a [Segment], resolution: usize, by_vertex: impl Fn(&Field) -> bool) -> Self {
+        let order = (0..mesh.positions.len() as u32).collect();
+        let mut made = Self { mesh, bones, order, kept: Kept::Nothing };
+        let lattice = Lattice::around(mesh, resolution.clamp(1, HOLLOW_RESOLUTION_MAX));
+        let Some(lattice) = lattice.filter(|_| !bones.is_empty()) else { return made };
+        let field = Field::new(lattice, mesh);
+        made.order.sort_unstable_by_key(|&vertex| (field.cell_of_vertex[vertex as usize], vertex));
+        made.kept = if by_vertex(&field) {
+            Kept::Distances(made.measured(&field))
+        } else {
+            let ways = Ways::new(&field, bones, 0);
+            Kept::Ways(Box::new(field), ways)
+        };
+        made
+    }
+
+    /// The distances of all vertices, in order, with the ways of as many words at once as there are threads. `[V, B]`
+    fn measured(&self, field: &Field) -> Vec<f32> {
+        let bone_count = self.bones.len();
+        let mut distances = bone_euclid(&self.places(&self.order), self.bones);
+        let group = WORD * rayon::current_num_threads().max(1);
+        for (bones, first) in self.bones.chunks(group).zip((0..).step_by(group)) {
+            let ways = Ways::new(field, bones, first);
+            let blocks = distances.par_chunks_mut(BLOCK * bone_count).zip(self.order.par_chunks(BLOCK));
+            blocks.for_each(|(rows, block)| ways.lengthen(field, block, &self.places(block), rows, bone_count));
+        }
+        distances
+    }
+
+    /// What `reduce` makes of the distances of each vertex, `[V]`. Vertices come in no order, several at once; each thread holds the
+    /// distances of 64 of them.
+    pub fn map<T: Default + Send>(&self, reduce: impl Fn(VertexDistances) -> T + Sync) -> Vec<T> {
+        let mut answers: Vec<T> = self.order.iter().map(|_| T::default()).collect();
+        let blocks = answers.par_chunks_mut(BLOCK).zip(self.order.par_chunks(BLOCK)).enumerate();
+        blocks.for_each(|(block, (answers, vertices))| self.reduce_block(block * BLOCK, vertices, answers, &reduce));
+        // Each to the place of its vertex.
+        let mut order = self.order.clone();
+        for at in 0..order.len() {
+            while order[at] as usize != at {
+                let vertex = order[at] as usize;
+                answers.swap(at, vertex);
+                order.swap(at, vertex);
+            }
+        }
+        answers
+    }
+
+    /// `vertices` stand in order from `begin` on.
+    fn reduce_block<T>(
+        &self,
+        begin: usize,
+        vertices: &[u32],
+        answers: &mut [T],
+        reduce: impl Fn(VertexDistances) -> T,
+    ) {
+        let bone_count = self.bones.len();
+        let places = self.places(vertices);
+        let straight = bone_euclid(&places, self.bones);
+        let made;
+        let hollow = match &self.kept {
+            Kept::Nothing => &straight,
+            Kept::Distances(distances) => &distances[begin * bone_count..][..straight.len()],
+            Kept::Ways(field, ways) => {
+                let mut rows = straight.clone();
+                ways.lengthen(field, vertices, &places, &mut rows, bone_count);
+                made = rows;
+                &made
+            }
+        };
+        for (at, (&vertex, answer)) in vertices.iter().zip(answers).enumerate() {
+            let [hollow, straight] = [hollow, &straight].map(|rows| &rows[at * bone_count..][..bone_count]);
+            *answer = reduce(VertexDistances { vertex: vertex as usize, hollow, straight });
+        }
+    }
+
+    fn places(&self, vertices: &[u32]) -> Vec<DVec3> {
+        vertices.iter().map(|&vertex| self.mesh.positions[vertex as usize]).collect()
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::volumetric_geodesic::{bone_euclid, nearest_on_segment};
+    use crate::geometry::volumetric_geodesic::nearest_on_segment;
     use crate::mesh::test_shapes::{degenerate, joined, sphere, tube};
-    use glam::DVec3;
     use proptest::prelude::*;
 
     /// One bone at a time, every layer over all cells of the grid, nothing shared with the search above but the grid.
@@ -268,11 +239,16 @@ mod tests {
     }
 
     fn measured(mesh: &Mesh, bones: &[Segment], resolution: usize) -> Vec<f32> {
-        hollow_distance(mesh, bones, bone_euclid(&mesh.positions, bones), resolution)
+        HollowDistance::new(mesh, bones, resolution).map(|vertex| vertex.hollow.to_vec()).concat()
     }
 
+    /// With distances kept and with ways kept.
     fn agrees(mesh: &Mesh, bones: &[Segment], resolution: usize) -> Result<(), TestCaseError> {
-        let found = measured(mesh, bones, resolution);
+        let [found, by_cell] = [true, false].map(|by_vertex| {
+            let kept = HollowDistance::keeping(mesh, bones, resolution, |_| by_vertex);
+            kept.map(|vertex| vertex.hollow.to_vec()).concat()
+        });
+        prop_assert_eq!(&found, &by_cell);
         for (bone, &segment) in bones.iter().enumerate() {
             for (vertex, expected) in plain(mesh, segment, resolution).into_iter().enumerate() {
                 let found = f64::from(found[vertex * bones.len() + bone]);
@@ -287,7 +263,7 @@ mod tests {
     }
 
     proptest! {
-        #![proptest_config(ProptestConfig::with_cases(300))]
+        #![proptest_config(ProptestConfig::with_cases(500))]
 
         /// Parts that overlap, touch or stand apart; bones inside, across and outside of them.
         #[test]
@@ -371,8 +347,23 @@ mod tests {
             assert_eq!(distance.len(), 2 * mesh.positions.len());
             let straight = bone_euclid(&mesh.positions, &bones);
             assert!(distance.iter().zip(&straight).all(|(own, straight)| own.is_finite() || straight.is_infinite()));
-            assert!(measured(&mesh, &[], HOLLOW_RESOLUTION).is_empty());
+            let counted = HollowDistance::new(&mesh, &[], HOLLOW_RESOLUTION).map(|vertex| vertex.hollow.len() + 1);
+            assert_eq!(counted, vec![1; mesh.positions.len()]);
         }
+    }
+
+    #[test]
+    fn every_vertex_is_given_its_own_rows() {
+        let mesh = joined(&[sphere(DVec3::ZERO, 0.5, 24), tube(DVec3::X, 0.1, 1.0, 20, 20)]);
+        let bones = [(DVec3::ZERO, DVec3::X), (DVec3::Y, DVec3::Y)];
+        let hollow = HollowDistance::new(&mesh, &bones, 32);
+        assert!(matches!(hollow.kept, Kept::Distances(_)), "fewer vertices than cells");
+        let dense = sphere(DVec3::ZERO, 0.5, 128);
+        assert!(matches!(HollowDistance::new(&dense, &bones, 16).kept, Kept::Ways(..)), "fewer cells than vertices");
+        let rows = hollow.map(|row| (row.vertex, row.straight.to_vec()));
+        let (vertices, straight): (Vec<usize>, Vec<Vec<f32>>) = rows.into_iter().unzip();
+        assert_eq!(vertices, (0..mesh.positions.len()).collect::<Vec<_>>());
+        assert_eq!(straight.concat(), bone_euclid(&mesh.positions, &bones));
     }
 
     #[test]
@@ -382,7 +373,7 @@ mod tests {
             (0..100).map(|at| (DVec3::X * f64::from(at) * 0.01, DVec3::Y * f64::from(at % 7) * 0.1)).collect();
         let with = |threads| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            pool.install(|| measured(&mesh, &bones, 32))
+            pool.install(|| [8, 32].map(|resolution| measured(&mesh, &bones, resolution)))
         };
         assert_eq!(with(1), with(2));
     }

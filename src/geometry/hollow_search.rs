@@ -2,12 +2,14 @@
 //!
 //! In: a [`Field`] (the grid of one mesh). Out: when each bone met each kept cell, `[kept, bones]`.
 
-use super::hollow_distance::{Field, WORD};
+use super::hollow_field::Field;
 use super::surface_voxels::Lattice;
 use super::volumetric_geodesic::Segment;
 use glam::DVec3;
 use std::ops::Range;
 
+/// Bones that are searched together, one bit each.
+pub(super) const WORD: usize = 64;
 /// Finds every cell that a bone passes for more than a quarter of an edge.
 const SAMPLES_PER_CELL: f64 = 4.0;
 const SAMPLES_MAX: usize = 4_096;
@@ -29,7 +31,7 @@ pub(super) struct Met {
 
 /// The search of one word of bones.
 pub(super) struct Search<'a> {
-    field: &'a Field<'a>,
+    field: &'a Field,
     bone_count: usize,
     /// Bones that have met each cell; all bits where nothing may go. `[cells]`
     met: Vec<u64>,
@@ -182,7 +184,7 @@ fn unite<const COUNT: usize>(lines: [&[u64]; COUNT], united: &mut [u64]) {
 }
 
 impl<'a> Search<'a> {
-    pub fn new(field: &'a Field<'a>, bone_count: usize) -> Self {
+    pub fn new(field: &'a Field, bone_count: usize) -> Self {
         let cells = field.lattice.count();
         let closed = |cell| if field.lattice.is_outermost(cell) { u64::MAX } else { 0 };
         Self {
@@ -191,7 +193,7 @@ impl<'a> Search<'a> {
             met: (0..cells).map(closed).collect(),
             recent: vec![0; cells],
             free: vec![0; cells],
-            lines: Lines::new(field.lattice),
+            lines: Lines::new(&field.lattice),
             moved: 0,
             when: vec![NEVER; field.kept.len() * bone_count],
             missing: vec![field.holding_count; bone_count],
@@ -205,7 +207,7 @@ impl<'a> Search<'a> {
 
     /// Puts a bone into its cells; returns how far it is from them, in cells.
     pub fn begin(&mut self, bone: usize, segment: Segment) -> f64 {
-        let lattice = self.field.lattice;
+        let lattice = &self.field.lattice;
         let low = DVec3::ONE;
         let high = DVec3::from(lattice.size.map(|size| size as f64 - 1.0));
         let (start, end) = segment;

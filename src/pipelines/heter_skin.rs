@@ -5,8 +5,7 @@
 
 use super::shape::Shape;
 use crate::cancellation::{Cancellation, Cancelled};
-use crate::geometry::hollow_distance::{HOLLOW_RESOLUTION, hollow_distance};
-use crate::geometry::volumetric_geodesic::bone_euclid;
+use crate::geometry::hollow_distance::{HOLLOW_RESOLUTION, HollowDistance};
 use crate::geometry::voxel_binding::VoxelBinding;
 use crate::rig::Skeleton;
 use crate::rig::bone_features::bone_features;
@@ -54,10 +53,10 @@ impl WeighedBones {
     /// What HeterSkinNet reads.
     pub fn heter_graph(&self, shape: &Shape, skeleton: &Skeleton) -> HeterGraph {
         let segments: Vec<_> = self.bones.iter().map(|bone| (bone.start, bone.end)).collect();
-        let positions = &shape.mesh.positions;
-        let straight = bone_euclid(positions, &segments);
-        let hollow = hollow_distance(&shape.mesh, &segments, straight.clone(), HOLLOW_RESOLUTION);
-        let distances = BoneDistances { hollow: &hollow, voxel: &self.voxel_distance, straight: &straight };
-        HeterGraph::new(positions, skeleton, &self.bones, &distances, &self.heat(shape))
+        // Before HollowDist is there: both need memory of their own.
+        let heat = self.heat(shape);
+        let hollow = HollowDistance::new(&shape.mesh, &segments, HOLLOW_RESOLUTION);
+        let distances = BoneDistances { hollow: &hollow, voxel: &self.voxel_distance };
+        HeterGraph::new(&shape.mesh.positions, skeleton, &self.bones, &distances, &heat)
     }
 }

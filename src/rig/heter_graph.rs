@@ -21,8 +21,8 @@ use super::Skeleton;
 use super::bone_weights::{BoneWeights, masked_softmax};
 use super::distance_falloff::nearest_of_joints;
 use super::skeleton::Bone;
+use crate::geometry::hollow_distance::HollowDistance;
 use glam::DVec3;
-use rayon::prelude::*;
 
 /// K: joints that compete for a vertex.
 pub const LINKS: usize = 8;
@@ -45,11 +45,12 @@ pub const LINK_PRUNE_SHARE: f32 = 0.067;
 /// Stands for a distance that is infinite or absurd: two sides of the frame.
 const FAR: f32 = 2.0;
 
-/// Distances from vertices to bones, each `[V, B]`.
+/// Distances from vertices to bones.
 pub struct BoneDistances<'a> {
-    pub hollow: &'a [f32],
+    /// HollowDist and the straight distance, made row by row.
+    pub hollow: &'a HollowDistance<'a>,
+    /// Distance through voxels. `[V, B]`
     pub voxel: &'a [f32],
-    pub straight: &'a [f32],
 }
 
 /// What the network reads, row-major.
@@ -80,16 +81,10 @@ impl HeterGraph {
         distances: &BoneDistances,
         heat: &BoneWeights,
     ) -> Self {
-        let bone_count = bones.len();
-        let row = |all: &'_ [f32], vertex: usize| all[vertex * bone_count..][..bone_count].to_vec();
-        let rows: Vec<Vec<Link>> = (0..vertices.len())
-            .into_par_iter()
-            .map(|vertex| {
-                let [hollow, voxel, straight] =
-                    [distances.hollow, distances.voxel, distances.straight].map(|all| row(all, vertex));
-                links_of(vertices[vertex], bones, &hollow, &voxel, &straight, heat.row(vertex))
-            })
-            .collect();
+        let rows: Vec<Vec<Link>> = distances.hollow.map(|row| {
+            let voxel = &distances.voxel[row.vertex * bones.len()..][..bones.len()];
+            links_of(vertices[row.vertex], bones, row.hollow, voxel, row.straight, heat.row(row.vertex))
+        });
         let joint_count = skeleton.joints.len();
         let (joint_links, joint_mask) = seen_by_joints(&rows, joint_count);
         let slots = || rows.iter().flat_map(|row| (0..LINKS).map(move |slot| (row.get(slot), row.first())));
@@ -227,7 +222,9 @@ fn joint_neighbors(skeleton: &Skeleton) -> Vec<Vec<u32>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::geometry::hollow_distance::HOLLOW_RESOLUTION;
     use crate::geometry::volumetric_geodesic::bone_euclid;
+    use crate::mesh::Mesh;
     use crate::rig::Joint;
 
     /// A root with three arms of one bone each.
@@ -240,9 +237,11 @@ mod tests {
     fn graph(vertices: &[DVec3]) -> HeterGraph {
         let (skeleton, bones) = (skeleton(), skeleton().bones());
         let segments: Vec<_> = bones.iter().map(|bone| (bone.start, bone.end)).collect();
-        let straight = bone_euclid(vertices, &segments);
-        let heat = BoneWeights { bone_count: bones.len(), values: vec![1.0 / bones.len() as f32; straight.len()] };
-        let distances = BoneDistances { hollow: &straight, voxel: &straight, straight: &straight };
+        let voxel = bone_euclid(vertices, &segments);
+        let heat = BoneWeights { bone_count: bones.len(), values: vec![1.0 / bones.len() as f32; voxel.len()] };
+        let mesh = Mesh { positions: vertices.to_vec(), triangles: Vec::new() };
+        let hollow = HollowDistance::new(&mesh, &segments, HOLLOW_RESOLUTION);
+        let distances = BoneDistances { hollow: &hollow, voxel: &voxel };
         HeterGraph::new(vertices, &skeleton, &bones, &distances, &heat)
     }
 
