@@ -37,7 +37,7 @@ impl Served {
     }
 
     /// Runs `script` beside `hero.glb`, `hero.obj`, `hero.mtl` and a folder `heroes`, stopping at the first command that fails.
-    fn run(&self, script: &str) -> String {
+    pub fn run(&self, script: &str) -> String {
         let folder = self.folder.path();
         if !folder.join("hero.glb").exists() {
             std::fs::copy(sample(), folder.join("hero.glb")).expect("copies");
@@ -60,8 +60,12 @@ impl Served {
         text(&output.stdout)
     }
 
-    fn file(&self, name: &str) -> Vec<u8> {
+    pub fn file(&self, name: &str) -> Vec<u8> {
         std::fs::read(self.folder.path().join(name)).expect(name)
+    }
+
+    pub fn put(&self, name: &str, bytes: &[u8]) {
+        std::fs::write(self.folder.path().join(name), bytes).expect(name);
     }
 }
 

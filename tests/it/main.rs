@@ -22,6 +22,7 @@ mod reskin;
 mod revision;
 #[path = "../stand_ins/s3.rs"]
 mod s3;
+mod served_rigs;
 mod shapes;
 mod skin;
 mod skin_choice;

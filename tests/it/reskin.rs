@@ -28,7 +28,7 @@ fn joint_names(rig: &Value) -> Vec<String> {
 }
 
 /// Per vertex the weight of each joint, by name.
-fn weights(rig: &Value) -> Vec<BTreeMap<String, f64>> {
+pub fn weights(rig: &Value) -> Vec<BTreeMap<String, f64>> {
     let names = joint_names(rig);
     let mut rows = Vec::new();
     for skin in rig["skins"].as_array().expect("skins") {
@@ -51,13 +51,13 @@ fn difference(a: &BTreeMap<String, f64>, b: &BTreeMap<String, f64>) -> f64 {
 }
 
 /// The JSON chunk of a GLB file.
-fn glb_json(file: &[u8]) -> Value {
+pub fn glb_json(file: &[u8]) -> Value {
     let length = u32::from_le_bytes(file[12..16].try_into().expect("four bytes")) as usize;
     serde_json::from_slice(&file[20..20 + length]).expect("JSON chunk")
 }
 
 /// The same file with another JSON chunk.
-fn with_json(file: &[u8], json: &Value) -> Vec<u8> {
+pub fn with_json(file: &[u8], json: &Value) -> Vec<u8> {
     let length = u32::from_le_bytes(file[12..16].try_into().expect("four bytes")) as usize;
     let mut text = json.to_string().into_bytes();
     text.resize(text.len().next_multiple_of(4), b' ');
@@ -138,16 +138,24 @@ fn transforms(json: &Value) -> BTreeMap<String, (Option<String>, [Vec<f64>; 2])>
     .collect()
 }
 
-#[test]
-fn a_skeleton_of_another_file_keeps_turned_joints_and_sockets() {
-    let folder = tempfile::tempdir().expect("folder");
-    rigged_sample(folder.path());
-    let file = std::fs::read(folder.path().join("rigged.glb")).expect("file");
-    let mut document = glb_json(&file);
+/// Nodes without a mesh have the same names, parents, places and turns in both files.
+pub fn assert_same_skeleton(wanted: &Value, found: &Value) {
+    let (wanted, found) = (transforms(wanted), transforms(found));
+    assert_eq!(wanted.keys().collect::<Vec<_>>(), found.keys().collect::<Vec<_>>());
+    for (name, (parent, local)) in &wanted {
+        assert_eq!(parent, &found[name].0, "{name}");
+        let pairs = local.iter().flatten().zip(found[name].1.iter().flatten());
+        assert!(pairs.into_iter().all(|(a, b)| (a - b).abs() < 1e-6), "{name}: {local:?} became {:?}", found[name].1);
+    }
+}
+
+/// The JSON chunk of a rigged file with its root turned about the vertical, what is below it turned back, and a socket under the
+/// last joint: every joint stays where it was.
+pub fn turned_with_socket(file: &[u8]) -> Value {
+    let mut document = glb_json(file);
     let joint = |at: usize| document["skins"][0]["joints"][at].as_u64().expect("index") as usize;
     let (root, leaf) = (joint(0), joint(document["skins"][0]["joints"].as_array().expect("joints").len() - 1));
     let children = document["nodes"][root]["children"].clone();
-    // The root is turned about the vertical, and what is below it turned back.
     let half = std::f64::consts::FRAC_1_SQRT_2;
     document["nodes"][root]["rotation"] = json!([0.0, half, 0.0, half]);
     for child in children.as_array().expect("children") {
@@ -158,6 +166,15 @@ fn a_skeleton_of_another_file_keeps_turned_joints_and_sockets() {
     let socket = document["nodes"].as_array().expect("nodes").len();
     document["nodes"].as_array_mut().expect("nodes").push(json!({ "name": "Socket", "translation": [0, 0.1, 0] }));
     document["nodes"][leaf]["children"] = json!([socket]);
+    document
+}
+
+#[test]
+fn a_skeleton_of_another_file_keeps_turned_joints_and_sockets() {
+    let folder = tempfile::tempdir().expect("folder");
+    rigged_sample(folder.path());
+    let file = std::fs::read(folder.path().join("rigged.glb")).expect("file");
+    let document = turned_with_socket(&file);
     std::fs::write(folder.path().join("mine.glb"), with_json(&file, &document)).expect("writes");
 
     let input = sample();
@@ -168,13 +185,7 @@ fn a_skeleton_of_another_file_keeps_turned_joints_and_sockets() {
         std::fs::read(folder.path().join(glb)).expect("file")
     };
     let given = skin("mine.glb", "given");
-    let (wanted, found) = (transforms(&document), transforms(&glb_json(&given)));
-    assert_eq!(wanted.keys().collect::<Vec<_>>(), found.keys().collect::<Vec<_>>());
-    for (name, (parent, local)) in &wanted {
-        assert_eq!(parent, &found[name].0, "{name}");
-        let pairs = local.iter().flatten().zip(found[name].1.iter().flatten());
-        assert!(pairs.into_iter().all(|(a, b)| (a - b).abs() < 1e-6), "{name}: {local:?} became {:?}", found[name].1);
-    }
+    assert_same_skeleton(&document, &glb_json(&given));
     // Turned joints weigh as unturned ones in the same places.
     let plain = skin("rigged.glb", "plain");
     assert_ne!(given, plain);
