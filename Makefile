@@ -27,9 +27,11 @@ run: build ## fetch ONNX Runtime, build, and start the service on http://127.0.0
 	@printf 'The API is described at http://$(LISTEN)/docs and, as OpenAPI, at http://$(LISTEN)/v1/openapi.json. Stop with Ctrl-C.\n\n'
 	@exec $(BINARY) serve --listen $(LISTEN)
 
+# The examples are there because they and the tests ask for more features of shared dependencies (regex-automata, zerocopy) than the
+# program alone does: without them, cargo would compile it once for use and once more for the tests.
 .PHONY: build
-build: ort ## build the program (target/release/rigsmith)
-	$(CARGO) build --release --locked
+build: ort ## build the program (target/release/rigsmith) and the examples
+	$(CARGO) build --release --locked --bins --examples
 
 .PHONY: ort
 ort: ## put ONNX Runtime into third_party/ (fetched once, pinned by digest; WHEEL=file uses a local copy)
@@ -52,16 +54,16 @@ check: ## only the quick part: formatting and lints
 	$(CARGO) clippy --release --all-targets --locked -- -D warnings
 
 .PHONY: outputs
-outputs: checked-programs python-packages ## rig every case of the checks into target/checks/outputs
+outputs: build python-packages ## rig every case of the checks into target/checks/outputs
 	$(VENV)/bin/python $(CHECKS)/rig_cases.py $(OUTPUTS)
 
 .PHONY: contact-sheet
-contact-sheet: checked-programs python-packages ## draw the produced rigs on one sheet, target/checks/contact-sheet.png
+contact-sheet: build python-packages ## draw the produced rigs on one sheet, target/checks/contact-sheet.png
 	$(VENV)/bin/python $(CHECKS)/rig_cases.py --previews $(OUTPUTS)
 	$(VENV)/bin/python $(CHECKS)/contact_sheet.py $(OUTPUTS) target/checks/contact-sheet.png
 
 .PHONY: check-blender
-check-blender: checked-programs python-packages ## load and pose the produced files in Blender (fetches about 1 GB; needs Python 3.11)
+check-blender: build python-packages ## load and pose the produced files in Blender (fetches about 1 GB; needs Python 3.11)
 	$(VENV)/bin/python $(CHECKS)/rig_cases.py $(OUTPUTS)
 	@$(CHECKS)/blender-venv.sh target/checks/blender-venv
 	target/checks/blender-venv/bin/python $(CHECKS)/blender.py $(OUTPUTS)
@@ -93,11 +95,6 @@ evaluate: build python-packages ## measure the built program on rigs that it nev
 	$(VENV)/bin/python models/evaluate_rigs.py $(if $(DATA),--data $(DATA)) $(foreach file,$(SET),--set $(file)) $(if $(PUBLISH),--publish)
 
 # ---- what the checks stand on -----------------------------------------------------------------------------------------
-
-# The program and the examples as the tests build them (with the features that the tests' own dependencies ask for).
-.PHONY: checked-programs
-checked-programs: ort
-	$(CARGO) build --release --locked --bins --examples
 
 .PHONY: python-packages
 python-packages: $(VENV)/.installed
