@@ -200,17 +200,16 @@ def markdown(evaluation: dict) -> list[str]:
 
 def network_table(manifest: dict) -> str:
     """What the manifest says of each file's training."""
-    lines = ["| network | width | parameters | file | steps (characters seen) | CPU min | trained on |", "|---|---|---|---|---|---|---|"]
+    lines = ["| network | width | parameters | file | steps (characters seen) | minutes | trained on |", "|---|---|---|---|---|---|---|"]
     for name, entry in manifest["networks"].items():
-        runs, run = [], entry["training"]
-        while run:
-            runs.append(run)
-            run = run.get("then")
+        runs = [entry["training"]]
+        while earlier := runs[0].get("after"):
+            runs.insert(0, earlier)
         last = runs[-1]["data"][-1]["characters"]
         ours = sum(count for part, count in last.items() if part.startswith("synthetic"))
         rigs = ", ".join(f"{part} {count}" for part, count in last.items() if not part.startswith("synthetic"))
         steps = " + ".join(f"{run['steps']:,} ({run['passes']:,})" for run in runs)
-        minutes = " + ".join(f"{run['cpu_minutes']:.0f}" for run in runs)
+        minutes = " + ".join(f"{run['cpu_minutes']:.0f} ({run['data'][-1].get('device', 'cpu')})" for run in runs)
         lines.append(f"| {name} | {entry['width']} | {entry['parameters']:,} | {entry['bytes'] / 2**20:.1f} MiB | {steps} | {minutes} | "
                      f"{rigs}; generated {ours} |")
     return "\n".join([*lines, "", "The last data of each run; the manifest lists earlier ones. Parts are shards of openly licensed rigs.", ""])

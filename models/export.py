@@ -3,9 +3,9 @@
     python models/export.py                    every network that has a run
     python models/export.py rignet_skin        only this one; the others keep their file and their manifest entry
     python models/export.py --untrained        also networks without a run (right interface, random weights)
-    python models/export.py --joint-stage      displacement and attention from the joint fine-tuning
     A network whose further runs are named runs/<network>_2, _3 ... is exported as the mean of all of them.
-    Bone and root come from the runs of rignet_skeleton_stage.
+    Bone and root come from the runs of rignet_skeleton_stage, displacement and attention from that of rignet_joint_stage, or, before
+    there is one, of rignet_joint_pair.
     python models/evaluate.py                  afterwards: fills in the validation figures and the calibration
 """
 
@@ -24,9 +24,7 @@ from rigsmith_models.artifact import FORBIDDEN_OPERATORS, INDICES, SHAPES, descr
 from rigsmith_models.committee import Committee
 from rigsmith_models.folding import folded, silence_dead_channels
 from rigsmith_models.networks import NETWORKS
-from rigsmith_models.train.joint_stage import JointStage
-from rigsmith_models.train.skeleton_stage import SkeletonStage
-from rigsmith_models.train.trainer import Settings, averaged_network
+from rigsmith_models.train.trainer import STAGES, Settings, averaged_network
 
 HERE = Path(__file__).parent
 RUNS, ARTIFACTS = HERE / "runs", HERE / "artifacts"
@@ -134,11 +132,21 @@ def training_record(name: str, run: Path, record: dict) -> dict:
     }
 
 
-def trained(name: str, joint_stage: bool) -> tuple[torch.nn.Module, Settings, dict | None]:
+def run_of(name: str) -> tuple[str, str | None]:
+    """-> the run that trains a network, and the network's name within it where it is part of a stage."""
+    for stage, module in STAGES.items():
+        part = {whole: part for part, whole in module.parts.items()}.get(name)
+        if part and (stage != "rignet_joint_stage" or (RUNS / stage / "checkpoint.pt").exists()):
+            return stage, part
+    return name, None
+
+
+def trained(name: str) -> tuple[torch.nn.Module, Settings, dict | None]:
     """The network with the weights to ship, its settings and its training record (None: random weights)."""
-    part = {whole: part for part, whole in SkeletonStage.parts.items()}.get(name)
-    source = "rignet_skeleton_stage" if part else name
+    source, part = run_of(name)
     runs = [RUNS / source / "checkpoint.pt", *sorted(RUNS.glob(f"{source}_[0-9]/checkpoint.pt"))]
+    if part == "root":
+        runs = runs[:ROOT_MEMBERS]
     if not runs[0].exists():
         settings = Settings(network=source)
         torch.manual_seed(settings.seed)
@@ -146,24 +154,19 @@ def trained(name: str, joint_stage: bool) -> tuple[torch.nn.Module, Settings, di
     members, records = zip(*(averaged_network(run) for run in runs))
     if part:
         members = [getattr(member, part) for member in members]
-    if part == "root":
-        members, records, runs = members[:ROOT_MEMBERS], records[:ROOT_MEMBERS], runs[:ROOT_MEMBERS]
     network = members[0] if len(members) == 1 else Committee(list(members)).eval()
     training, *others = [training_record(source, run, record) for run, record in zip(runs, records)]
     if others:
         training["members"] = others
-    tuned = {whole: part for part, whole in JointStage.parts.items()}.get(name)
-    if joint_stage and tuned:
-        path = RUNS / "rignet_joint_stage" / "checkpoint.pt"
-        both, record = averaged_network(path)
-        network = getattr(both, tuned)
-        training["then"] = training_record("rignet_joint_stage", path, record)
+    if source == "rignet_joint_stage":
+        pair = RUNS / "rignet_joint_pair" / "checkpoint.pt"
+        training["after"] = training_record("rignet_joint_pair", pair, averaged_network(pair)[1])
     return network, records[0]["settings"], training
 
 
-def export_one(name: str, joint_stage: bool, untrained: bool) -> dict | None:
+def export_one(name: str, untrained: bool) -> dict | None:
     """Writes the file and returns its manifest entry; None where there is no run and random weights are not asked for."""
-    network, settings, training = trained(name, joint_stage)
+    network, settings, training = trained(name)
     if training is None and not untrained:
         return None
     network = silence_dead_channels(network)
@@ -200,7 +203,6 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("networks", nargs="*", choices=[*NETWORKS, []])
     parser.add_argument("--untrained", action="store_true")
-    parser.add_argument("--joint-stage", action="store_true")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     ARTIFACTS.mkdir(exist_ok=True)
@@ -211,7 +213,7 @@ def main() -> None:
     manifest["licence"] = json.loads((HERE / "licence.json").read_text())
     manifest.setdefault("calibration", UNTUNED_CALIBRATION)
     for name in arguments.networks or NETWORKS:
-        entry = export_one(name, arguments.joint_stage, arguments.untrained)
+        entry = export_one(name, arguments.untrained)
         if entry:
             manifest["networks"][name] = entry
     total = sum(p.stat().st_size for p in ARTIFACTS.glob("*.onnx"))

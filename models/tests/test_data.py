@@ -4,8 +4,9 @@ import json
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
-from rigsmith_models.data import augment, read_cache, targets, write_cache
+from rigsmith_models.data import augment, read_cache, targets, travel, write_cache
 from rigsmith_models.data.bones import (
     bone_features, bones_of_tree, candidate_pairs, is_bone, nearest_bones, weights_of_nearest_bones)
 from rigsmith_models.data.character import ARRAYS
@@ -77,6 +78,38 @@ def test_posing_moves_vertices_with_their_joints(stick_figures):
         before = np.linalg.norm(figure.positions - figure.joints[owner], axis=1)
         after = np.linalg.norm(posed.positions - posed.joints[owner], axis=1)
         np.testing.assert_allclose(after, before, atol=1e-5)
+
+
+def test_parts_grow_by_themselves_and_mirror_partners_alike(stick_figures):
+    figure = stick_figures[0]
+    owner = figure.skin_weights.argmax(1)
+    grown = augment.random_pose(figure, np.random.default_rng(3), growth=0.3)
+    before = np.linalg.norm(figure.positions - figure.joints[owner], axis=1)
+    size = np.linalg.norm(grown.positions - grown.joints[owner], axis=1) / before
+    per_joint = np.array([np.unique(size[owner == joint].round(3)) for joint in range(7)]).squeeze(1)
+    np.testing.assert_allclose(np.linalg.norm(grown.medial_offsets, axis=1), per_joint[owner] * np.linalg.norm(figure.medial_offsets, axis=1), rtol=2e-3)
+    assert per_joint[3] == per_joint[4] and per_joint[5] == per_joint[6]  # the arms, the legs
+    assert len(set(per_joint)) == 5
+    np.testing.assert_allclose(
+        np.linalg.norm(grown.joints[1] - grown.joints[0]), per_joint[0] * np.linalg.norm(figure.joints[1] - figure.joints[0]), rtol=2e-3)
+
+
+def test_what_travels_arrives(stick_figures, tmp_path):
+    travel.write_travel(tmp_path / "some.travel", stick_figures)
+    for sent, arrived in zip(stick_figures, travel.read_travel(tmp_path / "some.travel"), strict=True):
+        far, place = cKDTree(arrived.positions).query(sent.positions)  # where each vertex went
+        assert far.max() < 1e-4 and sorted(place) == list(range(len(place)))
+        np.testing.assert_allclose(arrived.medial_offsets[place], sent.medial_offsets, atol=5e-4)
+        np.testing.assert_allclose(arrived.skin_weights[place], sent.skin_weights, atol=4e-3)
+        assert (arrived.attention_mask[place] == sent.attention_mask).all()
+        assert (arrived.joints == sent.joints).all() and (arrived.parents == sent.parents).all() and arrived.meta == sent.meta
+        assert (arrived.tolerance == sent.tolerance).all()
+        for name, columns in (("one_ring", travel.ONE_RING_COLUMNS), ("geodesic_ball", travel.BALL_COLUMNS)):
+            old, new = getattr(sent, name), getattr(arrived, name)
+            for vertex in range(len(old)):
+                known = {place[v] for v in old[vertex]}
+                kept = set(new[place[vertex]]) - {place[vertex]}
+                assert kept <= known and len(kept) == min(columns, len(known - {place[vertex]}))
 
 
 def test_scaling_keeps_the_frame(stick_figures):

@@ -10,7 +10,7 @@ from rigsmith_models.data.sampling import Pool  # noqa: E402
 from rigsmith_models.folding import folded  # noqa: E402
 from rigsmith_models.layers import EdgeConv  # noqa: E402
 from rigsmith_models.networks import NETWORKS  # noqa: E402
-from rigsmith_models.train.trainer import TRAINED, Run, Settings  # noqa: E402
+from rigsmith_models.train.trainer import TRAINED, Run, Settings, averaged_network  # noqa: E402
 
 import export  # noqa: E402
 
@@ -24,18 +24,45 @@ def pool(tmp_path, stick_figures) -> Pool:
 
 
 def settings(network: str, **changes) -> Settings:
-    return Settings(network=network, width=0.25, characters_per_step=2, steps=40, mixed_precision=False, **changes)
+    return Settings(**{"network": network, "width": 0.25, "characters_per_step": 2, "steps": 40, "mixed_precision": False, **changes})
 
 
 def test_forty_steps_are_twenty_and_twenty_more(pool, tmp_path):
-    whole = Run(tmp_path / "whole", settings("rignet_displacement"), "cpu", resume=False)
+    whole = Run(tmp_path / "whole", settings("rignet_joint_pair"), "cpu", resume=False)
     losses = [whole.train_step(pool) for _ in range(40)]
-    first = Run(tmp_path / "parts", settings("rignet_displacement"), "cpu", resume=False)
+    first = Run(tmp_path / "parts", settings("rignet_joint_pair"), "cpu", resume=False)
     parts = [first.train_step(pool) for _ in range(20)]
     first.save()
-    second = Run(tmp_path / "parts", settings("rignet_displacement"), "cpu", resume=True)
+    second = Run(tmp_path / "parts", settings("rignet_joint_pair"), "cpu", resume=True)
     parts += [second.train_step(pool) for _ in range(20)]
     np.testing.assert_allclose(parts, losses, rtol=0, atol=1e-3)
+
+
+def test_batches_are_the_same_wherever_they_are_made(pool, tmp_path):
+    run = Run(tmp_path / "run", settings("rignet_joint_pair"), "cpu", resume=False)
+    here, there = run.batches(pool, workers=0), run.batches(pool, workers=2)
+    for mine, theirs, _ in zip(here, there, range(5)):
+        assert torch.equal(mine["positions"], theirs["positions"]) and torch.equal(mine["joints"], theirs["joints"])
+
+
+def test_a_run_by_the_clock_goes_through_its_whole_schedule(pool, tmp_path):
+    run = Run(tmp_path / "clock", settings("rignet_joint_pair", steps=10**7), "cpu", resume=False)
+    run.train(pool, minutes=0.05, by_clock=True)
+    assert run.settings.steps == run.step > 1
+    assert run.optimiser.param_groups[0]["lr"] < 0.3 * run.settings.learning_rate
+    network, record = averaged_network(tmp_path / "clock" / "averages.pt")
+    assert record["step"] == run.step
+    for name, value in network.state_dict().items():
+        np.testing.assert_allclose(value, run.average[name], rtol=1e-3, atol=1e-6)
+
+
+def test_fine_tuning_starts_from_the_pair(pool, tmp_path):
+    pair = Run(tmp_path / "rignet_joint_pair_a", settings("rignet_joint_pair"), "cpu", resume=False)
+    pair.train_step(pool)
+    pair.save()
+    stage = Run(tmp_path / "rignet_joint_stage_a", settings("rignet_joint_stage"), "cpu", resume=False)
+    for name, value in stage.network.state_dict().items():
+        assert torch.equal(value, pair.average[name])
 
 
 @pytest.mark.parametrize("name", TRAINED)

@@ -28,9 +28,9 @@ use glam::DVec3;
 pub const JOINTS_MIN: usize = 2;
 pub const JOINTS_MAX: usize = 100;
 
-/// Bandwidth in the middle of the detail range. On 30 organic validation characters, whole pipeline: IoU .421, .451, .430 and CD-J2J
-/// 6.1, 6.2, 6.5 % at .04, .045, .05, with 24.0, 20.3, 16.3 joints where the artists have 23.0.
-pub const BANDWIDTH_DEFAULT: f64 = 0.045;
+/// Bandwidth in the middle of the detail range. On 30 organic validation characters, whole pipeline: IoU .503, .505, .516, .506 and
+/// CD-J2J 5.05, 5.12, 5.32, 5.41 % at .035, .038, .041, .045, with 26.3, 23.7, 21.1, 18.6 joints where the artists have 23.0.
+pub const BANDWIDTH_DEFAULT: f64 = 0.038;
 /// Bandwidths that make sense in the normalised frame; others are brought into this range.
 pub const BANDWIDTH_RANGE: std::ops::RangeInclusive<f64> = 0.005..=0.5;
 

@@ -9,6 +9,7 @@ from .character import Character
 POSE_PROBABILITY = 0.5
 POSED_JOINT_SHARE = 0.3
 POSE_DEGREES = 20.0
+GROWTH = 0.12  # deviation of the logarithm of how much larger or smaller a body part is made
 JOINTS_DROPPED = 0.2
 MIRROR = np.array([-1.0, 1.0, 1.0], np.float32)
 
@@ -25,10 +26,14 @@ def mirror_partner(joints: np.ndarray) -> np.ndarray:
     return np.linalg.norm(joints[:, None] * MIRROR - joints[None], axis=2).argmin(1)
 
 
-def random_pose(character: Character, rng: np.random.Generator) -> Character:
-    """Linear blend skinning by random rotations; the mirror partner of a joint gets the mirrored rotation."""
+def random_pose(character: Character, rng: np.random.Generator, growth: float = 0.0) -> Character:
+    """Linear blend skinning by random rotations; the mirror partner of a joint gets the mirrored rotation.
+
+    With ``growth`` every part also gets its own size, and its joints' distances with it; mirror partners get the same.
+    """
     joints, parents = character.joints.astype(float), character.parents
     turns = [np.eye(3) for _ in joints]
+    sizes = np.ones(len(joints))
     turned = set()
     for j, partner in enumerate(mirror_partner(joints)):
         if parents[j] < 0 or j in turned or rng.random() > POSED_JOINT_SHARE:
@@ -42,14 +47,18 @@ def random_pose(character: Character, rng: np.random.Generator) -> Character:
             turns[j] = rotation(axis, angle)
         turned.update((j, int(partner)))
 
+    if growth:
+        sizes = np.exp(growth * rng.normal(size=len(joints)).clip(-2, 2))
+        sizes = np.sqrt(sizes * sizes[mirror_partner(joints)])
+
     posed = joints.copy()
     frames = [np.eye(3) for _ in joints]
     for j in parents_first(parents):
         p = parents[j]
         if p >= 0:
             frames[j] = frames[p] @ turns[j]
-            posed[j] = posed[p] + frames[p] @ (joints[j] - joints[p])
-    frame = np.stack(frames)
+            posed[j] = posed[p] + sizes[p] * frames[p] @ (joints[j] - joints[p])
+    frame = np.stack(frames) * sizes[:, None, None]
     shift = posed - np.einsum("jab,jb->ja", frame, joints)
     weights = character.skin_weights.astype(np.float32)
     blended = (weights @ frame.reshape(-1, 9)).reshape(-1, 3, 3)

@@ -1,5 +1,6 @@
 """Which characters a training step sees, and the tensors made of them. All random choices derive from (seed, step)."""
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -7,19 +8,33 @@ import torch
 
 from . import augment
 from .character import Character, read_cache
+from .travel import read_travel
 
 LAST_PART = 0.8  # after this share of the steps half of the generated draws go to real characters
-ONE_RING_MAX = 4
-BALL_MAX = 8
-VERTEX_COUNTS = (384, 512, 768)
-VERTEX_COUNT_SHARES = (0.3, 0.5, 0.2)
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """How many vertices of a character a step sees, how many of their neighbours, and how different parts may grow."""
+
+    vertex_counts: tuple[int, ...]
+    shares: tuple[float, ...]
+    one_ring_max: int
+    ball_max: int
+    growth: float
+
+
+SAMPLINGS = {
+    "sparse": Sampling((384, 512, 768), (0.3, 0.5, 0.2), one_ring_max=4, ball_max=8, growth=0.0),  # for a CPU
+    "dense": Sampling((512, 768, 1024), (0.3, 0.4, 0.3), one_ring_max=5, ball_max=9, growth=augment.GROWTH),  # for a GPU
+}
 
 
 class Pool:
     """All training characters, drawn by their ``draw_weight``, real and synthetic ones at a set share."""
 
     def __init__(self, files: list[Path]):
-        caches = {path.stem: read_cache(path) for path in files}
+        caches = {path.stem: read_travel(path) if path.suffix == ".travel" else read_cache(path) for path in files}
         self.sizes = {name: len(characters) for name, characters in caches.items()}
         self.characters = [c for characters in caches.values() for c in characters]
         self.weight = np.array([c.meta.get("draw_weight", 1.0) for c in self.characters], float)
@@ -47,19 +62,19 @@ class Pool:
         return [self.characters[k] for k in chosen]
 
 
-def shape_batch(characters: list[Character], rng: np.random.Generator, device, pose: bool = True, scale: bool = True) -> dict:
+def shape_batch(characters: list[Character], rng: np.random.Generator, device, sampling: Sampling, pose: bool = True, scale: bool = True) -> dict:
     """Augments and thins each character and stacks them.
 
     -> positions (G*N, 3), medial_offsets (G*N, 3), one_ring (G*N, K1), geodesic_ball (G*N, K2) with indices into the stack, graph_count G, and
     lists per character: ``kept`` vertices, ``joints`` (J, 3) after augmentation, ``scale`` (3,).
     """
-    vertex_count = int(rng.choice(VERTEX_COUNTS, p=VERTEX_COUNT_SHARES))
+    vertex_count = int(rng.choice(sampling.vertex_counts, p=sampling.shares))
     positions, offsets, rings, balls, kept_lists, joints, scales = [], [], [], [], [], [], []
     for graph, character in enumerate(characters):
         if pose and rng.random() < augment.POSE_PROBABILITY:
-            character = augment.random_pose(character, rng)
+            character = augment.random_pose(character, rng, sampling.growth)
         character, factors = augment.random_scale(character, rng) if scale else augment.random_mirror(character, rng)
-        kept, ring, ball = augment.thin(character, vertex_count, ONE_RING_MAX, BALL_MAX, rng)
+        kept, ring, ball = augment.thin(character, vertex_count, sampling.one_ring_max, sampling.ball_max, rng)
         positions.append(character.positions[kept])
         offsets.append(character.medial_offsets[kept])
         rings.append(ring + graph * vertex_count)

@@ -6,7 +6,7 @@ import torch.nn.functional as F
 
 from ..data.bones import bone_features, candidate_pairs, nearest_bones, weights_of_nearest_bones
 from ..data.heter_graph import LINK_INPUTS, heter_graph
-from ..data.sampling import padded_joints, shape_batch
+from ..data.sampling import SAMPLINGS, Sampling, padded_joints, shape_batch
 from ..rignet.skin import BONES_PER_VERTEX
 from .joint_stage import BANDWIDTH_LIMITS, mean_shift_states
 
@@ -33,43 +33,42 @@ def chamfer(points: torch.Tensor, joints: torch.Tensor, valid: torch.Tensor) -> 
     return 0.5 * (to_joint + to_point)
 
 
-class DisplacementObjective:
-    """Chamfer distance between displaced vertices and reference joints."""
+class Objective:
+    """``batch``: characters -> tensors. ``loss``: network and tensors -> a number. ``augmented`` off shows every character as it is."""
+
+    def __init__(self, sampling: Sampling = SAMPLINGS["sparse"], augmented: bool = True):
+        self.sampling, self.augmented = sampling, augmented
+
+    def shapes(self, characters, rng, device, pose: bool = True, scale: bool = True) -> dict:
+        return shape_batch(characters, rng, device, self.sampling, pose and self.augmented, scale and self.augmented)
+
+
+def balanced_cross_entropy(logit: torch.Tensor, mask: torch.Tensor) -> torch.Tensor:
+    share = mask.mean().clamp(0.02, 0.98)
+    weight = torch.where(mask > 0.5, 0.5 / share, 0.5 / (1 - share))
+    return F.binary_cross_entropy_with_logits(logit, mask, weight=weight)
+
+
+class JointPairObjective(Objective):
+    """Displacement: Chamfer distance between displaced vertices and reference joints. Attention: binary cross-entropy against the ray
+    mask, the two classes weighted to balance in every batch. The two networks share batches, not weights.
+    """
 
     def batch(self, characters, progress, rng, device):
-        batch = shape_batch(characters, rng, device)
-        batch["joints"], batch["valid"] = padded_joints(batch["joints"], device)
-        return batch
-
-    def loss(self, network, batch) -> torch.Tensor:
-        displacement = network(*body_of(batch))
-        points = (batch["positions"] + displacement.float()).reshape(batch["graph_count"], -1, 3)
-        return chamfer(points, batch["joints"], batch["valid"]).mean()
-
-
-class AttentionObjective:
-    """Binary cross-entropy against the ray mask, the two classes weighted to balance in every batch."""
-
-    def batch(self, characters, progress, rng, device):
-        batch = shape_batch(characters, rng, device)
+        batch = self.shapes(characters, rng, device)
         mask = np.concatenate([c.attention_mask[kept] for c, kept in zip(characters, batch["kept"])])
         batch["mask"] = torch.from_numpy(mask.astype(np.float32)).to(device)
+        batch["joints"], batch["valid"] = padded_joints(batch["joints"], device)
         return batch
 
     def loss(self, network, batch) -> torch.Tensor:
-        mask = batch["mask"]
-        share = mask.mean().clamp(0.02, 0.98)
-        weight = torch.where(mask > 0.5, 0.5 / share, 0.5 / (1 - share))
-        return F.binary_cross_entropy_with_logits(network(*body_of(batch)).float(), mask, weight=weight)
+        displacement, logit = network(*body_of(batch))
+        points = (batch["positions"] + displacement.float()).reshape(batch["graph_count"], -1, 3)
+        return chamfer(points, batch["joints"], batch["valid"]).mean() + balanced_cross_entropy(logit.float(), batch["mask"])
 
 
-class JointStageObjective:
+class JointStageObjective(JointPairObjective):
     """Chamfer of the displaced points + 2 x its mean over the mean-shift states + .1 x the mask's cross-entropy."""
-
-    def batch(self, characters, progress, rng, device):
-        batch = AttentionObjective().batch(characters, progress, rng, device)
-        batch["joints"], batch["valid"] = padded_joints(batch["joints"], device)
-        return batch
 
     def loss(self, network, batch) -> torch.Tensor:
         displacement, logit = network(*body_of(batch))
@@ -116,7 +115,7 @@ def edited_skeleton(joints, parents, inside_share, rng):
     return joints, parents, share
 
 
-class SkeletonObjective:
+class SkeletonObjective(Objective):
     """Bones: binary cross-entropy over all pairs of joints, the mean of its hardest 30% (online hard example mining), and a
     ranking. Root: cross-entropy of a softmax over the joints of each character.
 
@@ -125,7 +124,7 @@ class SkeletonObjective:
     """
 
     def batch(self, characters, progress, rng, device):
-        batch = shape_batch(characters, rng, device)
+        batch = self.shapes(characters, rng, device)
         edited = []
         for joints, character in zip(batch["joints"], characters):
             parents, inside = character.parents.astype(int), character.inside_share
@@ -161,11 +160,11 @@ class SkeletonObjective:
         return each.mean() + hardest + ranking + F.cross_entropy(root, batch["root"])
 
 
-class SkinObjective:
+class SkinObjective(Objective):
     """Cross-entropy against the reference weights of the 5 nearest bones, renormalised."""
 
     def batch(self, characters, progress, rng, device):
-        batch = shape_batch(characters, rng, device, pose=False)
+        batch = self.shapes(characters, rng, device, pose=False)
         all_features, all_masks, all_targets = [], [], []
         for character, kept, joints, scale in zip(characters, batch["kept"], batch["joints"], batch["scale"]):
             start, end = character.bone_ends[:, 0].astype(int), character.bone_ends[:, 1].astype(int)
@@ -191,7 +190,7 @@ class SkinObjective:
         return (each * taught).sum() / taught.sum().clamp(min=1)
 
 
-class HeterSkinObjective:
+class HeterSkinObjective(Objective):
     """Cross-entropy and L1 distance between the weights over the links and the reference's.
 
     HeterSkinNet, Section 3.4, has the Kullback-Leibler divergence (here without its constant part) and a smoothing term; in its
@@ -199,7 +198,7 @@ class HeterSkinObjective:
     """
 
     def batch(self, characters, progress, rng, device):
-        batch = shape_batch(characters, rng, device, pose=False, scale=False)
+        batch = self.shapes(characters, rng, device, pose=False, scale=False)
         slots = max(len(c.joints) for c in characters)
         parts = {name: [] for name in LINK_INPUTS}
         for graph, (character, kept, mirrored) in enumerate(zip(characters, batch["kept"], batch["mirrored"])):
@@ -240,10 +239,9 @@ def body_of(batch: dict) -> tuple:
 
 
 OBJECTIVES = {
-    "rignet_displacement": DisplacementObjective,
-    "rignet_attention": AttentionObjective,
     "rignet_skeleton_stage": SkeletonObjective,
     "rignet_skin": SkinObjective,
+    "rignet_joint_pair": JointPairObjective,
     "rignet_joint_stage": JointStageObjective,
     "heter_skin_net": HeterSkinObjective,
 }

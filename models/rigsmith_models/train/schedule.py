@@ -18,12 +18,11 @@ class Plan:
 PLANS = {
     plan.network: plan
     for plan in (
-        Plan("rignet_displacement", steps=6000, learning_rate=2e-3, share=45.0),
-        Plan("rignet_attention", steps=4000, learning_rate=2e-3, share=18.0),
+        Plan("rignet_joint_pair", steps=16000, learning_rate=2e-3, share=63.0),
         Plan("rignet_skeleton_stage", steps=4000, learning_rate=2e-3, share=24.0),
         Plan("rignet_skin", steps=3000, learning_rate=1e-3, share=24.0),
         Plan("heter_skin_net", steps=8000, learning_rate=1e-3, share=24.0),
-        Plan("rignet_joint_stage", steps=900, learning_rate=2e-4, share=20.0, after=("rignet_displacement", "rignet_attention")),
+        Plan("rignet_joint_stage", steps=900, learning_rate=2e-4, share=20.0, after=("rignet_joint_pair",)),
     )
 }
 

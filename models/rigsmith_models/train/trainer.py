@@ -15,18 +15,20 @@ import numpy as np
 import torch
 from torch import nn
 
-from ..data.sampling import Pool
+from ..data.sampling import SAMPLINGS, Pool
 from ..layers import EdgeConv
 from ..networks import NETWORKS
 from .joint_stage import JointStage
 from .objectives import OBJECTIVES
 from .skeleton_stage import SkeletonStage
 
-STAGES = {"rignet_joint_stage": JointStage, "rignet_skeleton_stage": SkeletonStage}
-# What is trained by itself: every network but those that only a stage trains, and the stages.
-TRAINED = {**{name: network for name, network in NETWORKS.items() if name not in SkeletonStage.parts.values()}, **STAGES}
+# Fine-tuning before what it starts from: the last to have trained a network is named first.
+STAGES = {"rignet_joint_stage": JointStage, "rignet_joint_pair": JointStage, "rignet_skeleton_stage": SkeletonStage}
+# What is trained by itself: every network that is no part of a stage, and the stages.
+PARTS = {name for stage in STAGES.values() for name in stage.parts.values()}
+TRAINED = {**{name: network for name, network in NETWORKS.items() if name not in PARTS}, **STAGES}
 
-CHECKPOINT_SECONDS = 60.0
+CHECKPOINT_SECONDS = 30.0
 LOG_STEPS = 50
 COORDINATE_CHANNELS_MAX = 43  # a layer with at most so many inputs reads coordinates (SkinNet's first reads 43)
 
@@ -47,15 +49,47 @@ class Settings:
     seed: int = 7
     real_share: float = 0.5  # of the draws; the others are generated characters, half as many in the last part of the run
     mixed_precision: bool = True
+    sampling: str = "sparse"  # of data.sampling.SAMPLINGS
+    augmented: bool = True
 
-    def rate(self, step: int) -> float:
-        progress = step / max(self.steps, 1)
+    def rate(self, progress: float) -> float:
+        """At a share of the schedule."""
         if progress < self.warm_up:
-            return self.learning_rate * (step + 1) / (self.warm_up * self.steps + 1)
+            return self.learning_rate * (progress / self.warm_up + 1 / self.steps)
         if progress < self.decay_from:
             return self.learning_rate
         fall = 0.5 * (1 + math.cos(math.pi * min((progress - self.decay_from) / (1 - self.decay_from), 1.0)))
         return self.learning_rate * (0.01 + 0.99 * fall)
+
+
+class StepBatches(torch.utils.data.Dataset):
+    """The batch of every step, made of (seed, step) alone, so in whichever process."""
+
+    def __init__(self, settings: Settings, pool: Pool, objective, clock: "Clock"):
+        self.settings, self.pool, self.objective, self.clock = settings, pool, objective, clock
+
+    def __len__(self) -> int:
+        return self.settings.steps
+
+    def __getitem__(self, step: int) -> dict:
+        rng = np.random.default_rng([self.settings.seed, step])
+        progress = self.clock.progress(step)
+        characters = self.pool.draw(self.settings.characters_per_step, progress, rng, self.settings.real_share)
+        return self.objective.batch(characters, progress, rng, "cpu")
+
+
+@dataclass
+class Clock:
+    """How far a run is: by its steps, or by the wall where the time is what is given (such a run cannot be repeated exactly)."""
+
+    steps: int
+    minutes: float | None = None
+    started: float = 0.0
+
+    def progress(self, step: int) -> float:
+        if self.minutes is None:
+            return step / max(self.steps, 1)
+        return min((time.monotonic() - self.started) / 60 / self.minutes, 1.0)
 
 
 class Run:
@@ -66,7 +100,7 @@ class Run:
         torch.manual_seed(settings.seed)
         self.network = TRAINED[settings.network](settings.width, settings.normalisation).to(device)
         if settings.network == "rignet_joint_stage":
-            self.start_from_parts()
+            self.start_from_pair()
         self.average = {k: v.detach().clone() for k, v in self.network.state_dict().items()}
         self.optimiser = torch.optim.AdamW(parameter_groups(self.network, settings.weight_decay), lr=settings.learning_rate)
         self.step = 0
@@ -79,19 +113,21 @@ class Run:
             self.optimiser.load_state_dict(state["optimiser"])
             self.step, self.seconds = state["step"], state["seconds"]
         keep_coordinates_exact(self.network)
-        self.objective = OBJECTIVES[settings.network]()
+        self.objective = OBJECTIVES[settings.network](SAMPLINGS[settings.sampling], settings.augmented)
+        self.clock = Clock(settings.steps)
 
-    def start_from_parts(self) -> None:
-        """Fine-tuning begins with the averaged weights of the two networks, where their runs exist."""
-        for part, name in JointStage.parts.items():
-            checkpoint = self.folder.parent / name / "checkpoint.pt"
-            if checkpoint.exists():
-                state = torch.load(checkpoint, map_location=self.device, weights_only=True)
-                getattr(self.network, part).load_state_dict(state["average"])
+    def start_from_pair(self) -> None:
+        """Fine-tuning begins with the averaged weights of the run that trained the two networks side by side, where it exists."""
+        pair = self.folder.with_name(self.folder.name.replace("joint_stage", "joint_pair")) / "checkpoint.pt"
+        if pair.exists():
+            self.network.load_state_dict(torch.load(pair, map_location=self.device, weights_only=True)["average"])
 
     @property
     def path(self) -> Path:
         return self.folder / "checkpoint.pt"
+
+    def device_name(self) -> str:
+        return torch.cuda.get_device_name(self.device) if torch.device(self.device).type == "cuda" else "cpu"
 
     def save(self) -> None:
         state = {
@@ -104,14 +140,16 @@ class Run:
         (self.folder / "status.json").write_text(json.dumps({"step": self.step, "seconds": round(self.seconds, 1)}))
 
     def train_step(self, pool: Pool) -> float:
+        """One step by itself, with its batch made here."""
+        return float(self.learn(StepBatches(self.settings, pool, self.objective, self.clock)[self.step]))
+
+    def learn(self, batch: dict) -> torch.Tensor:
+        """One step from its batch -> loss, still on the device."""
         settings = self.settings
-        rng = np.random.default_rng([settings.seed, self.step])
         torch.manual_seed(settings.seed * 1_000_003 + self.step)  # dropout
-        progress = self.step / settings.steps
-        characters = pool.draw(settings.characters_per_step, progress, rng, settings.real_share)
-        batch = self.objective.batch(characters, progress, rng, self.device)
+        batch = {k: v.to(self.device, non_blocking=True) if torch.is_tensor(v) else v for k, v in batch.items()}
         for group in self.optimiser.param_groups:
-            group["lr"] = settings.rate(self.step)
+            group["lr"] = settings.rate(self.clock.progress(self.step))
         self.network.train()
         with torch.autocast(torch.device(self.device).type, torch.bfloat16, enabled=settings.mixed_precision):
             loss = self.objective.loss(self.network, batch)
@@ -120,35 +158,58 @@ class Run:
         nn.utils.clip_grad_norm_(self.network.parameters(), settings.gradient_norm_max)
         self.optimiser.step()
         self.step += 1
-        decay = min(settings.average_decay, (1 + self.step) / (10 + self.step))
-        with torch.no_grad():
-            for name, value in self.network.state_dict().items():
-                if value.is_floating_point():
-                    self.average[name].lerp_(value, 1 - decay)
-                else:
-                    self.average[name].copy_(value)
-        return float(loss.detach())
+        self.follow(min(settings.average_decay, (1 + self.step) / (10 + self.step)))
+        return loss.detach()
 
-    def train(self, pool: Pool, minutes: float) -> None:
-        """Steps until the schedule or the wall clock ends, or a TERM signal; saves every minute and at the end."""
+    @torch.no_grad()
+    def follow(self, decay: float) -> None:
+        """The moving average of the weights takes a step towards them; counters are copied."""
+        pairs = [(self.average[name], value) for name, value in self.network.state_dict().items()]
+        moving, weights = zip(*(pair for pair in pairs if pair[1].is_floating_point()))
+        torch._foreach_lerp_(list(moving), list(weights), 1 - decay)
+        for mine, value in pairs:
+            if not value.is_floating_point():
+                mine.copy_(value)
+
+    def batches(self, pool: Pool, workers: int):
+        """Batches from the present step on, made ahead by ``workers`` processes, or here when there are none."""
+        source = StepBatches(self.settings, pool, self.objective, self.clock)
+        return torch.utils.data.DataLoader(
+            source, batch_size=None, sampler=range(self.step, self.settings.steps), num_workers=workers,
+            prefetch_factor=4 if workers else None, pin_memory=bool(workers) and torch.device(self.device).type == "cuda")
+
+    def train(self, pool: Pool, minutes: float, workers: int = 0, by_clock: bool = False) -> None:
+        """Steps until the schedule or the wall clock ends, or a TERM signal; saves every minute and at the end.
+
+        ``by_clock`` fits the schedule to the minutes, however many steps they hold.
+        """
         started = saved = time.monotonic()
-        losses: list[float] = []
+        if by_clock:
+            self.clock = Clock(self.settings.steps, minutes, started)
+        losses: list[torch.Tensor] = []
         stopped: list[int] = []
         signal.signal(signal.SIGTERM, lambda number, _: stopped.append(number))
-        while self.step < self.settings.steps and time.monotonic() - started < 60 * minutes and not stopped:
-            before = time.process_time()
-            losses.append(self.train_step(pool))
+        before = time.process_time()
+        for batch in self.batches(pool, workers):
+            losses.append(self.learn(batch))
             self.seconds += time.process_time() - before
+            before = time.process_time()
             if self.step % LOG_STEPS == 0:
                 self.log(losses)
                 losses = []
             if time.monotonic() - saved > CHECKPOINT_SECONDS:
                 self.save()
                 saved = time.monotonic()
+            if time.monotonic() - started > 60 * minutes or stopped:
+                break
+        if by_clock:
+            self.settings.steps = self.step
         self.save()
+        write_averages(self.path, self.folder / "averages.pt")
 
-    def log(self, losses: list[float]) -> None:
-        line = {"step": self.step, "loss": round(float(np.mean(losses)), 5), "rate": round(self.settings.rate(self.step), 7),
+    def log(self, losses: list[torch.Tensor]) -> None:
+        rate = self.settings.rate(self.clock.progress(self.step))
+        line = {"step": self.step, "loss": round(float(torch.stack(losses).mean()), 5), "rate": round(rate, 7),
                 "cpu_minutes": round(self.seconds / 60, 2), "time": time.strftime("%H:%M:%S")}
         with open(self.folder / "log.jsonl", "a") as file:
             file.write(json.dumps(line) + "\n")
@@ -179,6 +240,13 @@ def in_full_precision(forward):
         with torch.autocast(inputs[0].device.type, enabled=False):
             return forward(*(x.float() if x.is_floating_point() else x for x in inputs))
     return run
+
+
+def write_averages(checkpoint: Path, path: Path) -> None:
+    """What ``averaged_network`` needs of a checkpoint, in half precision: small enough to travel."""
+    state = torch.load(checkpoint, map_location="cpu", weights_only=True)
+    average = {name: value.half() if value.is_floating_point() else value for name, value in state["average"].items()}
+    torch.save({**{key: state[key] for key in ("settings", "step", "seconds")}, "average": average}, path)
 
 
 def averaged_network(checkpoint: Path, device: str = "cpu") -> tuple[nn.Module, dict]:
