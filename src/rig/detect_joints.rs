@@ -305,7 +305,7 @@ mod tests {
         let figure = Figure::new(&[DVec3::ONE], 30).mapped(|_| DVec3::ONE);
         let found = detect_joints(&figure.evidence(), None, None, Fineness::Detail(0.5), &Cancellation::default());
         let message = found.expect_err("one joint is no skeleton").to_string();
-        assert!(message.contains("30 displaced points") && message.contains("1 at bandwidth 0.0022"), "{message}");
+        assert!(message.contains("30 displaced points") && message.contains("1 at bandwidth 0.0019"), "{message}");
     }
 
     #[test]
