@@ -364,7 +364,7 @@ fn moving_an_elbow_changes_weights_near_it_and_hardly_elsewhere() {
         (count(&near), count(&far), far.iter().map(|&vertex| change(vertex)).fold(0.0, f64::max))
     };
     // Of so many vertices one may change elsewhere: a fourth influence that comes or goes where the limb blends with the trunk.
-    for (method, one_of) in [("geodesic_voxel", 1000), ("geodesic_heat", 1000), ("heter_skin_net", 200)] {
+    for (method, one_of) in [("geodesic_voxel", 1000), ("geodesic_heat", 500), ("heter_skin_net", 200)] {
         let (near, far, most) = changed(method);
         let told = format!("{method}: {near} near, {far} of {} elsewhere, at most {most:.3}", vertices.len());
         assert!(near > 100 && far * one_of <= vertices.len() && most < 0.1, "{told}");
