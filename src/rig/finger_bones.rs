@@ -308,6 +308,23 @@ mod tests {
     }
 
     #[test]
+    fn rags_at_the_end_of_a_sleeve_are_no_fingers() {
+        let ends_in = |ways: [DVec3; 4]| {
+            let rag = |(at, way): (usize, DVec3), side: f64| {
+                let base = DVec3::new(side * 0.425, 0.7, 0.03 * (at as f64 - 1.5));
+                rod(base, base + DVec3::new(side * way.x, way.y, way.z).normalize() * FINGER, 0.009, 8, 8)
+            };
+            let rags = ways.into_iter().enumerate().flat_map(|way| [rag(way, 1.0), rag(way, -1.0)]);
+            let parts: Vec<Mesh> = std::iter::once(body(0, 0)).chain(rags).collect();
+            made(&figure(), &joined(&parts), Some(&PLANE)).map(|made| made.fingers)
+        };
+        assert_eq!(ends_in([DVec3::X; 4]), Some(8), "fingers, to compare with");
+        let (up, down) = (DVec3::new(0.2, 1.0, 0.0), DVec3::new(0.2, -1.0, 0.0));
+        assert_eq!(ends_in([up, down, up, down]), None, "each its own way");
+        assert_eq!(ends_in([down; 4]), None, "across the arm");
+    }
+
+    #[test]
     fn a_skeleton_may_end_at_the_wrist_but_not_before() {
         let ending_at = |x: f64| {
             let mut skeleton = figure();

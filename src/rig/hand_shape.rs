@@ -7,7 +7,7 @@
 //!
 //! Fingers are branches that begin side by side, three to six of them, of comparable length, at the far end of the limb, with
 //! nothing beyond them, where the skeleton has an end too. The rule is ours. Of 33 training characters that have fingers (every
-//! third) it knows the hands of 27; of 66 others three get fingers that their artists did not give them.
+//! third) it knows the hands of 27; of 66 others one gets fingers that its artist did not give it.
 
 use super::hands::FEET_HEIGHT;
 use crate::geometry::surface_branches::{Branch, SurfaceBranches};
@@ -42,14 +42,33 @@ pub struct HandRule {
     share_min: f64,
     /// The longest finger in lengths of the shortest but one: that is the thumb.
     evenness_max: f64,
+    /// Length of the mean of the directions of all fingers but thumbs: 1 where they are parallel, little where they are rags of a sleeve.
+    parallel_min: f64,
+    /// Cosine between where they point and the way from where the limb begins to the knuckles.
+    along_min: f64,
 }
 
 impl HandRule {
     /// What an artist would call a hand at once.
-    pub const SURE: Self = Self { surface_min: 1.5, reach_min: 3.2, joint_max: 2.0, share_min: 0.6, evenness_max: 2.5 };
+    pub const SURE: Self = Self {
+        surface_min: 1.5,
+        reach_min: 3.2,
+        joint_max: 2.0,
+        share_min: 0.6,
+        evenness_max: 2.5,
+        parallel_min: 0.7,
+        along_min: 0.72,
+    };
     /// For those who know that there are hands.
-    pub const LIKELY: Self =
-        Self { surface_min: 1.0, reach_min: 2.0, joint_max: 2.5, share_min: 0.4, evenness_max: 4.0 };
+    pub const LIKELY: Self = Self {
+        surface_min: 1.0,
+        reach_min: 2.0,
+        joint_max: 2.5,
+        share_min: 0.4,
+        evenness_max: 4.0,
+        parallel_min: 0.5,
+        along_min: 0.3,
+    };
 }
 
 /// A straight finger.
@@ -117,13 +136,17 @@ impl HandShape {
         let joint = joints.iter().map(|joint| joint.distance(knuckles)).fold(f64::INFINITY, f64::min);
         let mut lengths: Vec<f64> = branches.iter().map(|branch| branch.length()).collect();
         lengths.sort_by(f64::total_cmp);
+        let directions = but_thumbs().map(|branch| (branch.tip - branch.base).normalize_or_zero()).sum::<DVec3>();
+        let parallel = directions.length() / but_thumbs().count().max(1) as f64;
         let is_hand = length <= LENGTH_MAX
             && branches.iter().all(|branch| branch.tip.y > FEET_HEIGHT)
             && level >= rule.surface_min * length
             && knuckles.distance(start) >= rule.reach_min * length
             && joint <= rule.joint_max * length
             && beyond_in_fingers as f64 >= rule.share_min * beyond as f64
-            && lengths[lengths.len() - 1] <= rule.evenness_max * lengths[1];
+            && lengths[lengths.len() - 1] <= rule.evenness_max * lengths[1]
+            && parallel >= rule.parallel_min
+            && directions.normalize_or_zero().dot((knuckles - start).normalize_or_zero()) >= rule.along_min;
         let slenderness = |branch: &Branch| branch.length() / branch.thickness;
         // All fingers of a hand have as many joints.
         let is_slender = median(but_thumbs().map(|branch| slenderness(branch))) >= FINGER_SLENDERNESS;
