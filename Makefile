@@ -79,7 +79,7 @@ bench: ort ## time and memory per stage, beside this machine's matrix-product ra
 	$(CARGO) bench --locked --bench pipeline --bench hollow_distance
 	$(CARGO) bench --locked --bench geometry --bench rig
 
-# ---- networks (models/README.md; these need PyTorch) ------------------------------------------------------------------
+# ---- networks (models/TRAINING.md; these need PyTorch) ------------------------------------------------------------------
 
 .PHONY: train
 train: ## train the networks for MINUTES on DATA (cache files)

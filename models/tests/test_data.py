@@ -112,6 +112,13 @@ def test_what_travels_arrives(stick_figures, tmp_path):
                 assert kept <= known and len(kept) == min(columns, len(known - {place[vertex]}))
 
 
+def test_what_is_learnt_by_heart_is_one_of_each_family(stick_figures):
+    for k, figure in enumerate(stick_figures):
+        figure.meta |= {"family": f"family {k // 2}", "style": "box" if k < 2 else "lowpoly", "draw_weight": 0.2}
+    chosen = travel.unlike(stick_figures, 2)
+    assert [c.meta["family"] for c in chosen] == ["family 1", "family 2"] and all(c.meta["draw_weight"] == 1.0 for c in chosen)
+
+
 def test_scaling_keeps_the_frame(stick_figures):
     for seed, figure in enumerate(stick_figures):
         scaled, _ = augment.random_scale(figure, np.random.default_rng(seed))

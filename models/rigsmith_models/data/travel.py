@@ -1,6 +1,7 @@
 """Cache files made small enough to travel to the machine that trains the joint networks.
 
     python -m rigsmith_models.data.travel CACHE/train.npz CACHE/synthetic0.npz -o train.travel
+    ... CACHE/train.npz CACHE/train2.npz --families 32 -o mem.travel      so many that are unlike each other, to be learnt by heart
 
 A travel file holds what displacement and attention are trained on, nothing for the later stages: positions and offsets rounded to
 1/16384 of the character's size, at most 6 + 12 neighbours a vertex, weights in 255ths, vertices in the order of a space-filling
@@ -11,7 +12,6 @@ import argparse
 import io
 import json
 import lzma
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -90,12 +90,26 @@ def read_travel(path: Path) -> list[Character]:
         return [large({name: archive[f"{name}/{k:04d}"] for name in FIELDS}, meta) for k, meta in enumerate(metas)]
 
 
+def unlike(characters: list[Character], count: int) -> list[Character]:
+    """One character of each family that is not made of boxes, so many of these, evenly spread over the list, all drawn equally."""
+    families: dict[str, Character] = {}
+    for character in characters:
+        if character.meta["style"] != "box":
+            families.setdefault(character.meta["family"], character)
+    firsts = list(families.values())
+    chosen = firsts[:: max(1, len(firsts) // count)][:count]
+    return [replace(character, meta={**character.meta, "draw_weight": 1.0}) for character in chosen]
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("caches", type=Path, nargs="+")
+    parser.add_argument("--families", type=int, help="only one character of each of so many families, none made of boxes")
     parser.add_argument("-o", "--output", type=Path, required=True)
     arguments = parser.parse_args()
     characters = [c for cache in arguments.caches for c in read_cache(cache)]
+    if arguments.families:
+        characters = unlike(characters, arguments.families)
     write_travel(arguments.output, characters)
     print(f"{arguments.output.name}: {len(characters)} characters, {arguments.output.stat().st_size / 2**20:.1f} MiB")
 

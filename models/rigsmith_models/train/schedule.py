@@ -14,7 +14,7 @@ class Plan:
     after: tuple[str, ...] = ()  # networks that must be finished first
 
 
-# What the shipped files had, or for RigNet's skin what is due (TRAINING.md); about 90 CPU minutes of one core.
+# For one core of a CPU: what the shipped files had, for RigNet's skin what is due; the joint networks' own come from a GPU (train_on_gpu.sh).
 PLANS = {
     plan.network: plan
     for plan in (
