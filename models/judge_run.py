@@ -14,11 +14,10 @@ import torch
 from rigsmith_models.data.sampling import Pool
 from rigsmith_models.evaluation.clustering import Clustering
 from rigsmith_models.train.judge import judged
-from rigsmith_models.train.trainer import averaged_network, write_averages
+from rigsmith_models.train.trainer import averaged_network
 
-DENSITY_MIN = 0.005  # as shipped
+DENSITY_MIN = 0.005  # as shipped when the first GPU run was judged, so that runs compare
 CHARACTERS_MAX = 32
-DISTANCE_WEIGHT = 4.0  # what a unit of distance counts beside one of IoU
 PAUSE_SECONDS = 2.0
 
 
@@ -31,7 +30,6 @@ def main() -> None:
     parser.add_argument("run", type=Path)
     parser.add_argument("--on", action="append", required=True, help="NAME=FILE,FILE...; box characters are left out")
     parser.add_argument("--bandwidth", type=float, nargs="+", default=[0.045])
-    parser.add_argument("--keep-best-on", metavar="NAME", help="of the sets: keeps the averages that do best there as best.pt")
     parser.add_argument("--process", type=int, default=os.getppid(), help="stop when it has ended")
     parser.add_argument("--reference-mask", action="store_true", help="figures with the true attention mask too")
     arguments = parser.parse_args()
@@ -41,7 +39,7 @@ def main() -> None:
         name, files = entry.split("=", 1)
         characters = [c for c in Pool([Path(f) for f in files.split(",")]).characters if c.meta["style"] != "box"]
         sets[name] = characters[:: max(1, len(characters) // CHARACTERS_MAX)][:CHARACTERS_MAX]
-    checkpoint, seen, best = arguments.run / "checkpoint.pt", 0.0, -1.0
+    checkpoint, seen = arguments.run / "checkpoint.pt", 0.0
     while True:
         last = not alive(arguments.process)
         if checkpoint.exists() and checkpoint.stat().st_mtime != seen:
@@ -55,10 +53,6 @@ def main() -> None:
                                 **{k: round(v, 4) for k, v in figures.items()}, "time": time.strftime("%H:%M:%S")}
                         with open(arguments.run / "judged.jsonl", "a") as file:
                             file.write(json.dumps(line) + "\n")
-                        score = figures["iou"] - DISTANCE_WEIGHT * figures["cd_j2j"]
-                        if name == arguments.keep_best_on and not masked and score > best:
-                            best = score
-                            write_averages(checkpoint, arguments.run / "best.pt")
         if last:
             return
         time.sleep(PAUSE_SECONDS)

@@ -28,8 +28,8 @@ mkdir -p runs
 for form in half full; do
     [ "$form" = full ] && width=1 || width=0.5
     train "_$form" --data $files --minutes "$pair" --then "rignet_joint_stage:$stage" --characters-per-step 32 --rate 0.5 --width "$width" --workers 5 "$@"
-    judge "rignet_joint_pair_$form" --on "val=$data/val.travel" --on "train=$data/train2.travel" --keep-best-on val
-    judge "rignet_joint_stage_$form" --on "val=$data/val.travel" --on "train=$data/train2.travel" --keep-best-on val
+    judge "rignet_joint_pair_$form" --on "val=$data/val.travel" --on "train=$data/train2.travel"
+    judge "rignet_joint_stage_$form" --on "val=$data/val.travel" --on "train=$data/train2.travel"
 done
 train _memory --data "$data/mem.travel" --minutes "$pair" --characters-per-step 32 --rate 0.5 --width 1 --as-they-are --workers 2 "$@"
 judge rignet_joint_pair_memory --on "mem=$data/mem.travel" --bandwidth 0.02 0.03 0.045 --reference-mask

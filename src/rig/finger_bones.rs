@@ -10,7 +10,7 @@
 //! what no other bone is nearer to. Where that, or what follows some joint of it, ends in a hand ([`HandShape`]), the joints of the hand
 //! are put anew: a wrist, unless the networks have found one, and the joints of every finger. Looking from every joint of the
 //! limb instead of its first alone raises recall of finger joints from .45 to .52 on 33 training characters, from .27 to .39 on six of
-//! validation (with the hand's end up to 2 finger lengths from the knuckles, not 1.0). The rule is ours. Pure; O(V J).
+//! validation (with the hand's end up to 2 finger lengths from the knuckles, not 1.0). The rule is ours. Pure; O(V J²).
 
 use super::Skeleton;
 use super::hand_shape::{HandRule, HandShape};
