@@ -4,7 +4,7 @@ use super::EngineOptions;
 use super::batch_remote::{self, Remote};
 use super::batch_report::{Entry, Made, Report, Why, digest};
 use super::failure::Failure;
-use super::files::{InputFile, ReadSiblings, write_whole};
+use super::files::{InputFile, ReadSiblings, place, write_whole};
 use super::rig::OptionArguments;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -57,6 +57,10 @@ pub fn run(arguments: &BatchArguments, engine: &EngineOptions) -> Result<(), Fai
     let options = arguments.options.read(&outputs)?;
     let inputs = inputs(&arguments.folder)?;
     std::fs::create_dir_all(&arguments.output).map_err(|error| Failure::unwritable(&arguments.output, &error))?;
+    if place(&arguments.output)? == place(&arguments.folder)? {
+        let message = format!("{} holds the meshes: rigs would take their places", arguments.output.display());
+        return Err(Failure::arguments(message).hint("name another folder with -o"));
+    }
     let worker = match &arguments.server {
         Some(server) => Worker::Remote(Remote::new(server, arguments.key.as_deref())),
         None => Worker::Local(Box::new(Engine::open(&engine.load_options(1))?)),

@@ -37,7 +37,12 @@ impl Failure {
 
     /// A result that cannot be written.
     pub fn unwritable(path: &Path, error: &std::io::Error) -> Self {
-        Self::internal(format!("{} cannot be written: {error}", path.display()), "name another place with -o")
+        Self::arguments(format!("{} cannot be written: {error}", path.display())).hint("name another place for it")
+    }
+
+    /// The same with another next step.
+    pub fn hint(self, hint: impl Into<String>) -> Self {
+        Self { hint: hint.into(), ..self }
     }
 
     /// The work on the file named `input` failed.

@@ -98,6 +98,16 @@ impl Form {
     }
 }
 
+/// Where a file is, or will be: two names of one place are the same. Its folder must be there.
+pub fn place(path: &Path) -> Result<PathBuf, Failure> {
+    if let Ok(there) = std::fs::canonicalize(path) {
+        return Ok(there);
+    }
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let folder = std::fs::canonicalize(folder).map_err(|error| Failure::unwritable(path, &error))?;
+    Ok(folder.join(path.file_name().unwrap_or_default()))
+}
+
 /// Writes a result whole or not at all: under another name first, then renamed.
 pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
     let mut partial = path.as_os_str().to_owned();

@@ -2,7 +2,7 @@
 
 use super::EngineOptions;
 use super::failure::Failure;
-use super::files::{InputFile, write_whole};
+use super::files::{InputFile, place, write_whole};
 use clap::Args;
 use rigsmith::jobs::{Engine, OptionsReader, Outcome, Output, RigOptions, Watch};
 use std::path::{Path, PathBuf};
@@ -111,6 +111,10 @@ impl AnySkeletonArguments {
         read_options(&self.given(), outputs)
     }
 
+    pub fn names_existing_rig(&self) -> bool {
+        self.existing_rig.is_some()
+    }
+
     fn given(&self) -> Vec<(&'static str, &Option<String>)> {
         vec![
             ("symmetry", &self.symmetry),
@@ -161,6 +165,7 @@ pub fn make(
     results: &ResultArguments,
     engine: &EngineOptions,
 ) -> Result<(), Failure> {
+    results.spares(Some(input))?;
     let file = InputFile::read(input)?;
     let engine = Engine::open(&engine.load_options(1))?;
     let watch = Watch::unattended();
@@ -176,6 +181,24 @@ impl ResultArguments {
     /// What to make, in the order of the files.
     pub fn kinds(&self) -> Result<Vec<Output>, Failure> {
         self.outputs.iter().map(|path| output_kind(path)).collect()
+    }
+
+    /// Whether every result has a place of its own, which is there and is not `sent`: what was sent is never written over.
+    pub fn spares(&self, sent: Option<&Path>) -> Result<(), Failure> {
+        let mut taken = Vec::new();
+        for path in self.outputs.iter().chain(&self.report) {
+            let place = place(path)?;
+            if sent.is_some_and(|sent| std::fs::canonicalize(sent).is_ok_and(|sent| sent == place)) {
+                let message = format!("{} is what was sent, and would be lost", path.display());
+                return Err(Failure::arguments(message).hint("name another file for the result"));
+            }
+            if taken.contains(&place) {
+                let message = format!("{} is named for two results", path.display());
+                return Err(Failure::arguments(message).hint("give each a name of its own"));
+            }
+            taken.push(place);
+        }
+        Ok(())
     }
 
     fn write(&self, outcome: &Outcome, watch: &Watch) -> Result<(), Failure> {

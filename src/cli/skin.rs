@@ -28,7 +28,16 @@ pub struct SkinArguments {
 
 pub fn run(arguments: &SkinArguments, engine: &EngineOptions) -> Result<(), Failure> {
     let mut options = arguments.options.read(&arguments.results.kinds()?)?;
+    arguments.results.spares(arguments.skeleton.as_deref())?;
     match &arguments.skeleton {
+        Some(_) if options.existing_rig == ExistingRigPolicy::Reskin => {
+            let says = "--existing-rig reskin keeps the skeleton of the file, and --skeleton names another";
+            return Err(Failure::arguments(format!("{says}: leave out one of them, or say --existing-rig replace")));
+        }
+        None if arguments.options.names_existing_rig() && options.existing_rig != ExistingRigPolicy::Reskin => {
+            let says = "without --skeleton, the skeleton of the file is what the mesh is weighed over";
+            return Err(Failure::arguments(format!("{says}: leave out --existing-rig, or name a skeleton")));
+        }
         Some(path) => {
             let bytes = std::fs::read(path).map_err(|error| Failure::unreadable(path, &error))?;
             let read = read_skeleton(&bytes, !options.locked_joints.is_empty());

@@ -149,7 +149,7 @@ impl DecodeError {
             Self::NoTriangles { .. } => "export the mesh with its faces".into(),
             Self::PointCloud { .. } => "reconstruct a surface from the points first".into(),
             Self::ZeroExtent { .. } => {
-                "export the mesh at its real size and near the origin; its points coincide".into()
+                "its points coincide, or are too far from the origin to be told apart: export it at its real size, near the origin".into()
             }
             Self::AllDegenerate { .. } => "check the mesh in a modelling program; its faces are lines or points".into(),
             Self::MissingResource { name } => {

@@ -2,7 +2,7 @@
 //!
 //! Upload space of an FBX is its world space in glTF's convention: metres, y up, as the file's own axes and unit say.
 //! Every node with a mesh is a part: its control points in file order, with all transforms applied; a mirrored node
-//! keeps its outside by turned faces. Animation is not read. A texture that is neither embedded nor sent is a finding,
+//! keeps its outside by turned faces. Animations and morph targets are not read, which a finding says. A texture that is neither embedded nor sent is a finding,
 //! not a refusal: FBX files name paths of the machine they were made on as a matter of course.
 //!
 //! `ufbx` is C. It gets the whole file in memory, opens nothing, and works under a memory limit, with out-of-range
@@ -61,6 +61,7 @@ pub fn decode(
         animations: scene.anim_stacks.count,
         morph_targets: scene.blend_channels.count,
     };
+    findings.extend(left_behind(&contents));
     if let Some(skeleton) = skeleton.as_ref().filter(|_| options.existing_rig == ExistingRigPolicy::Reskin) {
         decoded.skeleton = Some(skeleton.scene_skeleton()?);
     }
@@ -161,6 +162,20 @@ fn space_finding(scene: &ufbx::Scene) -> Option<Finding> {
         severity: Severity::Info,
         message: format!("the file's space (up {:?}, unit {unit} m) was converted to y up and metres", axes.up),
         hint: String::new(),
+    })
+}
+
+/// What an FBX file can hold and the GLB that is made of it does not.
+fn left_behind(contents: &Contents) -> Option<Finding> {
+    let held = [(contents.animations, "animation(s)"), (contents.morph_targets, "morph target(s)")];
+    let held: Vec<String> =
+        held.iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}")).collect();
+    (!held.is_empty()).then(|| Finding {
+        code: "fbx_left_behind",
+        parts: Vec::new(),
+        severity: Severity::Warning,
+        message: format!("{} of the FBX file are not read, so the result does not have them", held.join(" and ")),
+        hint: "export the character as GLB from the program that made it, and send that: a GLB keeps them".into(),
     })
 }
 

@@ -45,6 +45,9 @@ use glam::DVec3;
 use siblings::BoundedSiblings;
 use std::ops::Range;
 
+/// The code of the finding that an old rig was taken away.
+pub const EXISTING_RIG_REPLACED: &str = "existing_rig_replaced";
+
 /// Reads one upload. What it is, its first bytes say, then the extension of `file_name`; `siblings` are the files sent
 /// with it. Every limit is checked before memory is spent for what it limits.
 pub fn decode(

@@ -111,6 +111,16 @@ pub enum Alpha {
     Blend,
 }
 
+impl Material {
+    pub fn is_textured(&self) -> bool {
+        [self.base_color_texture, self.normal_texture, self.emissive_texture].iter().any(Option::is_some)
+    }
+
+    pub fn without_textures(&self) -> Self {
+        Self { base_color_texture: None, normal_texture: None, emissive_texture: None, ..self.clone() }
+    }
+}
+
 impl Default for Material {
     /// A plain, matt, non-metallic white, seen from both sides: OBJ and FBX know no culling.
     fn default() -> Self {

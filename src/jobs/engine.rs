@@ -38,6 +38,11 @@ impl Engine {
         watch: &Watch,
     ) -> Result<Outcome, JobError> {
         let method = method_of(options)?;
+        if options.skeleton.is_some() && options.existing_rig == formats::ExistingRigPolicy::Reskin {
+            let message = "existing_rig=reskin keeps the skeleton of the file, and another skeleton was sent with it";
+            let hint = "leave the skeleton out, or send existing_rig=replace to put it in the place of the file's";
+            return Err(JobError::new(ErrorCode::SkeletonInvalid, message).hint(hint));
+        }
         let choice = choose_skin(options.skin_method, &options.skin_fallback, &self.models)
             .map_err(|error| rig_failure(&error, watch))?;
         let mut upload = Upload::read(file_name, bytes, siblings, options, &self.limits, watch)?;
@@ -53,13 +58,13 @@ impl Engine {
         let rigged = rigged.map_err(|error| rig_failure(&error, watch))?;
         watch.check()?;
         watch.enter(Stage::Export);
-        upload.findings.extend(report::findings(&rigged, choice));
+        upload.findings.extend(report::findings(&rigged, choice, options));
         let method_used = report::method_used(method, options, choice, &rigged.facts);
         let facts = report::facts(method, options, choice, &upload, &rigged, &self.models);
         let artifacts = options
             .outputs
             .iter()
-            .map(|&output| encode(output, &upload.asset, &rigged, method_used, options, &facts))
+            .map(|&output| encode(output, &upload, &rigged, method_used, options, &facts))
             .collect::<Result<Vec<_>, _>>()?;
         watch.check()?;
         Ok(Outcome { artifacts, report: facts, findings: upload.findings, method_used: method_used.to_owned() })
@@ -75,9 +80,12 @@ pub fn check_file(
     watch: &Watch,
 ) -> Result<Check, JobError> {
     let method = method_of(options)?;
-    // A check tells of an existing rig rather than refusing it.
+    // A check tells of an existing rig, or that there is none, rather than refusing the file.
     let lenient = RigOptions { existing_rig: formats::ExistingRigPolicy::Replace, ..options.clone() };
-    let upload = Upload::read(file_name, bytes, siblings, &lenient, &Limits::default(), watch)?;
+    let mut upload = Upload::read(file_name, bytes, siblings, &lenient, &Limits::default(), watch)?;
+    if options.existing_rig != formats::ExistingRigPolicy::Replace {
+        upload.findings.retain(|finding| finding.code != formats::EXISTING_RIG_REPLACED);
+    }
     Ok(Check::of(method, options, upload))
 }
 
@@ -119,8 +127,11 @@ impl Upload {
         watch.check()?;
         watch.enter(Stage::Check);
         let mut findings = asset.findings.clone();
-        let (orientation, given) = orientation_of(&asset, options, &mut findings)
-            .ok_or_else(|| JobError::new(ErrorCode::NotRiggable, "up and front lie on one line").at(Stage::Check))?;
+        let (orientation, given) = orientation_of(&asset, options, &mut findings).ok_or_else(|| {
+            JobError::new(ErrorCode::NotRiggable, "up and front lie on one line")
+                .hint("name both, up and front, as the character stands in the file")
+                .at(Stage::Check)
+        })?;
         Ok(Self { asset, orientation, orientation_given: given, findings })
     }
 }
@@ -212,20 +223,28 @@ fn orientation_of(
     let file_front = from_file.map(|Axes { front, .. }| direction(front));
     let up = options.up.map(direction).or(file_up).or(guess.map(|guess| guess.up))?;
     let front = options.front.map(direction).or(file_front).or(guess.map(|guess| guess.front))?;
-    // A named up axis may lie along the file's or the guessed front: any other axis will do then.
-    let front = if up.cross(front).length_squared() > 0.5 { front } else { orientation::any_front(up) };
+    let front = match up.cross(front).length_squared() > 0.5 {
+        true => front,
+        // A named up axis may lie along the file's or the guessed front: any other axis will do then.
+        false if options.front.is_none() => orientation::any_front(up),
+        false => return None,
+    };
     let confidence = guess.map_or(1.0, |guess| guess.confidence);
     if let Some(guess) = guess {
         findings.push(Finding {
             code: "orientation_guessed",
             parts: Vec::new(),
             severity: if guess.confidence < 0.5 { Severity::Warning } else { Severity::Info },
-            message: format!(
-                "the file does not say which way is up: took {} as up and {} as front (confidence {:.2})",
-                axis_words(up),
-                axis_words(front),
-                guess.confidence
-            ),
+            message: match (options.up, options.front) {
+                (Some(_), _) => format!("the file does not say where its character faces: took {}", axis_words(front)),
+                (None, Some(_)) => format!("the file does not say which way is up: took {}", axis_words(up)),
+                (None, None) => format!(
+                    "the file does not say which way is up: took {} as up and {} as front (confidence {:.2})",
+                    axis_words(up),
+                    axis_words(front),
+                    guess.confidence
+                ),
+            },
             hint: "name them by up and front if this is wrong".into(),
         });
     }
@@ -257,7 +276,7 @@ fn staged(error: JobError, watch: &Watch) -> JobError {
 
 fn encode(
     output: Output,
-    asset: &Asset,
+    upload: &Upload,
     rigged: &Rigged,
     method: &str,
     wanted: &RigOptions,
@@ -266,13 +285,20 @@ fn encode(
     let names = if wanted.keeps_skeleton() { JointNames::AsGiven } else { JointNames::Plain };
     let nodes = wanted.skeleton.as_ref().and_then(|given| given.nodes.clone());
     let options = EncodeOptions { influences_max: wanted.max_influences, names, nodes, ..EncodeOptions::default() };
-    encode_rig(output, asset, &rigged.rig, &options, method, facts)
+    encode_rig(output, &upload.asset, axes_of(&upload.orientation), &rigged.rig, &options, method, facts)
 }
 
-/// One file of a rig. `facts` go into `rig.json`.
+fn axes_of(orientation: &orientation::Orientation) -> Axes {
+    let axis = |direction: glam::DVec3| Axis::ALL.into_iter().find(|axis| axis.direction() == direction);
+    let usual = PreviewOptions::default().axes;
+    Axes { up: axis(orientation.up).unwrap_or(usual.up), front: axis(orientation.front).unwrap_or(usual.front) }
+}
+
+/// One file of a rig. `facts` go into `rig.json`; `axes` are those by which a picture is taken.
 pub(super) fn encode_rig(
     output: Output,
     asset: &Asset,
+    axes: Axes,
     rig: &Rig,
     options: &EncodeOptions,
     method: &str,
@@ -290,7 +316,9 @@ pub(super) fn encode_rig(
             rig_json::write(asset, rig, options.nodes.as_ref(), options.names, method, &facts.clone().into())
         }
         Output::RignetTxt => rignet_text::write(asset, rig).into_bytes(),
-        Output::PreviewPng => preview::preview_png(&asset.mesh, rig, &PreviewOptions::default()),
+        Output::PreviewPng => {
+            preview::preview_png(&asset.mesh, rig, &PreviewOptions { axes, ..PreviewOptions::default() })
+        }
     };
     Ok(Artifact { name: output.file_name().into(), media_type: output.media_type(), bytes })
 }

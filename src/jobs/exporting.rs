@@ -10,7 +10,8 @@ use super::queue::Jobs;
 use super::submission::{Missing, Refusal};
 use super::worker;
 use crate::formats::gltf::{EncodeOptions, JointNames};
-use crate::formats::rig_json;
+use crate::formats::preview::PreviewOptions;
+use crate::formats::{Axes, Axis, rig_json};
 use serde_json::{Map, Value};
 use std::time::Duration;
 
@@ -58,7 +59,18 @@ pub fn export_file(request: &RigRequest, rig: &[u8], output: Output) -> Result<A
     // Its names are those that the first files have.
     let influences_max = request.options.max_influences;
     let options = EncodeOptions { influences_max, names: JointNames::AsGiven, nodes, ..EncodeOptions::default() };
-    encode_rig(output, &asset, &rig, &options, &method, &report)
+    encode_rig(output, &asset, axes_in(&report), &rig, &options, &method, &report)
+}
+
+/// How the character stood when it was rigged, as the report of its rig says; y up and facing +z where it does not.
+fn axes_in(report: &Map<String, Value>) -> Axes {
+    let usual = PreviewOptions::default().axes;
+    let axis = |name: &str| {
+        let told: Option<[f64; 3]> =
+            report.get("orientation").and_then(|told| serde_json::from_value(told[name].clone()).ok());
+        told.and_then(|told| Axis::ALL.into_iter().find(|axis| axis.direction().to_array() == told))
+    };
+    Axes { up: axis("up").unwrap_or(usual.up), front: axis("front").unwrap_or(usual.front) }
 }
 
 #[cfg(test)]

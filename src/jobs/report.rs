@@ -40,7 +40,7 @@ pub fn facts(
             "joints": rig.skeleton.joints.len(),
             "root": rig.skeleton.joints.first().map(|joint| joint.name.clone()),
             "depth": rig.skeleton.depth(),
-            "symmetric": facts.symmetry_plane.is_some(),
+            "symmetric": facts.quality.mirror_error.is_some_and(|error| error < MIRRORED),
             "given": options.keeps_skeleton(),
             "boxes": facts.boxes,
             "fingers": facts.fingers,
@@ -99,11 +99,14 @@ fn quality(quality: &Quality, names: &[&str]) -> Value {
 /// Less than this share of a joint's weight far from it is not worth a line.
 const BLEED_TOLD: f64 = 0.005;
 
+/// A skeleton whose joints lie so near to each other's mirror images is symmetric; in longest sides of the mesh.
+const MIRRORED: f64 = 0.005;
+
 /// The skin method of characters made of boxes.
 const RIGID_BOXES: &str = "rigid_boxes";
 
 /// What is worth telling about the rig besides its facts.
-pub fn findings(rigged: &Rigged, choice: SkinChoice) -> Vec<Finding> {
+pub fn findings(rigged: &Rigged, choice: SkinChoice, options: &RigOptions) -> Vec<Finding> {
     let Facts { vertices_by_nearest_bone, joints_inside, ref joints_far_outside, .. } = rigged.facts;
     let mut findings = Vec::new();
     if let Some(boxes) = rigged.facts.boxes {
@@ -167,7 +170,10 @@ pub fn findings(rigged: &Rigged, choice: SkinChoice) -> Vec<Finding> {
             parts: Vec::new(),
             severity: Severity::Warning,
             message: format!("only {:.0} % of the joints lie inside the mesh", joints_inside * 100.0),
-            hint: "check the skeleton; another `detail` may place it better".into(),
+            hint: match options.keeps_skeleton() {
+                true => "check that the skeleton fits the mesh".into(),
+                false => "check the skeleton; another `detail` may place it better".into(),
+            },
         });
     }
     if rigged.facts.quality.verdict == Verdict::Poor {

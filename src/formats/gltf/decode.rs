@@ -13,8 +13,8 @@ use super::references::{Kind, UsedBefore, remove_all};
 use super::{Document, SkinnedPrimitive, animations, container, document, flatten, meshopt, triangles};
 use crate::formats::soundness::check_counts;
 use crate::formats::{
-    Asset, Axes, Axis, Contents, DecodeError, DecodeOptions, ExistingRig, ExistingRigPolicy, Finding, Format, Limits,
-    OldRig, Part, Severity, Siblings, Source,
+    Asset, Axes, Axis, Contents, DecodeError, DecodeOptions, EXISTING_RIG_REPLACED, ExistingRig, ExistingRigPolicy,
+    Finding, Format, Limits, OldRig, Part, Severity, Siblings, Source,
 };
 use crate::mesh::Mesh;
 use glam::{DMat4, DVec3};
@@ -297,7 +297,7 @@ fn remove_old_joints(json: &mut Value, graph: &NodeGraph, rig: &OldJoints, place
         message += "; its nodes stay, because an extension may refer to them";
     }
     vec![Finding {
-        code: "existing_rig_replaced",
+        code: EXISTING_RIG_REPLACED,
         parts: Vec::new(),
         severity: Severity::Warning,
         message,

@@ -142,6 +142,15 @@ impl KeptSkin {
         let accessor = json!({ "bufferView": view, "componentType": 5126, "count": self.nodes.len(), "type": "MAT4" });
         let accessor = push(json, "accessors", accessor);
         let mut skin = self.rest.clone();
+        // It may say where the skeleton stands, but only rightly: some files name a node that is not above every joint.
+        let is_above = |top: usize| {
+            self.nodes
+                .iter()
+                .all(|&node| std::iter::successors(Some(node), |&node| graph.parents[node]).any(|node| node == top))
+        };
+        if !skin.get("skeleton").and_then(index).is_some_and(is_above) {
+            skin.remove("skeleton");
+        }
         skin.insert("inverseBindMatrices".into(), json!(accessor));
         skin.insert("joints".into(), json!(self.nodes));
         Ok(push(json, "skins", Value::Object(skin)))

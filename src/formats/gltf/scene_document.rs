@@ -15,18 +15,19 @@ pub(super) fn build(scene: &Scene, mesh: &Mesh) -> Document {
     json["nodes"] = json!([]);
     json["meshes"] = json!([]);
     let (mut binary, mut skinned) = (Vec::new(), Vec::new());
+    let mut plain = PlainMaterials::default();
     for node in &scene.nodes {
         let mut primitives = Vec::with_capacity(node.primitives.len());
         let mesh_index = skinned_mesh_index(&json);
         for (index, primitive) in node.primitives.iter().enumerate() {
-            primitives.push(primitive_json(&mut json, &mut binary, primitive, mesh));
+            primitives.push(primitive_json(&mut json, &mut binary, primitive, plain.of(primitive, scene), mesh));
             let rows = primitive.mesh_rows.clone();
             skinned.push(SkinnedPrimitive { node: mesh_index, mesh: mesh_index, primitive: index, rows });
         }
         push(&mut json, "meshes", with_name(json!({ "primitives": primitives }), &node.name));
         push(&mut json, "nodes", with_name(json!({ "mesh": mesh_index }), &node.name));
     }
-    add_looks(&mut json, &mut binary, scene);
+    add_looks(&mut json, &mut binary, scene, &plain);
     let kept = scene.skeleton.as_ref().map(|skeleton| KeptSkin::of_nodes(&mut json, skeleton));
     Document { json, binary, other_chunks: Vec::new(), skinned, kept, scenes: vec![0] }
 }
@@ -43,7 +44,36 @@ fn with_name(mut value: Value, name: &str) -> Value {
     value
 }
 
-fn primitive_json(json: &mut Value, binary: &mut Vec<u8>, primitive: &ScenePrimitive, mesh: &Mesh) -> Value {
+/// Materials for primitives without texture coordinates: a texture that nothing places is no valid glTF.
+#[derive(Default)]
+struct PlainMaterials {
+    /// Textured materials of the scene that such a primitive names; its own comes behind those of the scene, in this order.
+    of: Vec<usize>,
+}
+
+impl PlainMaterials {
+    /// The material that `primitive` is written with.
+    fn of(&mut self, primitive: &ScenePrimitive, scene: &Scene) -> Option<usize> {
+        let index = primitive.material?;
+        let is_textured = scene.materials.get(index).is_some_and(Material::is_textured);
+        if primitive.texture_coordinates.is_some() || !is_textured {
+            return Some(index);
+        }
+        let place = self.of.iter().position(|other| *other == index).unwrap_or_else(|| {
+            self.of.push(index);
+            self.of.len() - 1
+        });
+        Some(scene.materials.len() + place)
+    }
+}
+
+fn primitive_json(
+    json: &mut Value,
+    binary: &mut Vec<u8>,
+    primitive: &ScenePrimitive,
+    material: Option<usize>,
+    mesh: &Mesh,
+) -> Value {
     let row = |row: &u32| mesh.positions.get(*row as usize).map_or([0.0; 3], |point| point.as_vec3().to_array());
     let positions: Vec<[f32; 3]> = primitive.mesh_rows.iter().map(row).collect();
     let mut attributes = json!({ "POSITION": append_floats(json, binary, &positions, "VEC3") });
@@ -67,7 +97,7 @@ fn primitive_json(json: &mut Value, binary: &mut Vec<u8>, primitive: &ScenePrimi
     let accessor = json!({ "bufferView": view, "componentType": component, "count": indices.len(), "type": "SCALAR" });
     let indices = push(json, "accessors", accessor);
     let mut value = json!({ "attributes": attributes, "indices": indices });
-    if let Some(material) = primitive.material {
+    if let Some(material) = material {
         value["material"] = json!(material);
     }
     value
@@ -80,9 +110,12 @@ fn append_floats<const N: usize>(json: &mut Value, binary: &mut Vec<u8>, rows: &
     push(json, "accessors", json!({ "bufferView": view, "componentType": 5126, "count": rows.len(), "type": kind }))
 }
 
-fn add_looks(json: &mut Value, binary: &mut Vec<u8>, scene: &Scene) {
+fn add_looks(json: &mut Value, binary: &mut Vec<u8>, scene: &Scene, plain: &PlainMaterials) {
     for material in &scene.materials {
         push(json, "materials", material_json(material));
+    }
+    for &textured in &plain.of {
+        push(json, "materials", material_json(&scene.materials[textured].without_textures()));
     }
     for (index, image) in scene.images.iter().enumerate() {
         let view = append_view(json, binary, &image.bytes);
