@@ -43,5 +43,5 @@ ENV ORT_DISABLE_TELEMETRY=1 RIGSMITH_LISTEN=0.0.0.0:8080 RIGSMITH_DATA=/var/lib/
 EXPOSE 8080
 VOLUME /var/lib/rigsmith
 HEALTHCHECK --interval=10s --timeout=5s --start-period=30s --retries=3 \
-    CMD ["rigsmith", "health", "--listen", "127.0.0.1:8080"]
+    CMD ["rigsmith", "health"]
 CMD ["rigsmith", "serve"]

@@ -83,9 +83,9 @@ pub fn run(arguments: &BatchArguments, engine: &EngineOptions) -> Result<(), Fai
     }
     run.bar.finish_and_clear();
     run.report.save()?;
-    println!("{}", run.report.table());
+    say!("{}", run.report.table());
     if !done.is_empty() {
-        println!("{} of them were done before", done.len());
+        say!("{} of them were done before", done.len());
     }
     match run.report.failed() {
         0 => Ok(()),

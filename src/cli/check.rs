@@ -29,7 +29,7 @@ pub fn run(arguments: &CheckArguments) -> Result<(), Failure> {
         serde_json::to_value(CheckView::from(&check)).map_err(|error| Failure::internal(error.to_string(), ""))?;
     if arguments.json {
         let text = serde_json::to_string_pretty(&check).map_err(|error| Failure::internal(error.to_string(), ""))?;
-        println!("{text}");
+        say!("{text}");
     } else {
         print_lines("", &check);
     }
@@ -50,8 +50,8 @@ fn print_lines(path: &str, value: &Value) {
                 print_lines(&format!("{path}[{index}]"), item);
             }
         }
-        Value::String(text) => println!("{path}: {text}"),
+        Value::String(text) => say!("{path}: {text}"),
         Value::Array(items) if items.is_empty() => {}
-        other => println!("{path}: {other}"),
+        other => say!("{path}: {other}"),
     }
 }

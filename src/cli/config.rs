@@ -12,7 +12,7 @@ pub struct ConfigArguments {
 }
 
 /// The commands whose settings a file may give.
-const LAYERED: [&str; 3] = ["serve", "worker", "config"];
+const LAYERED: [&str; 4] = ["serve", "worker", "config", "health"];
 
 /// A command line read twice: once for the name of the file, once with its values as defaults.
 pub struct Layered {
@@ -58,7 +58,7 @@ pub fn run(layered: &Layered) -> Result<(), Failure> {
     let Some((_, matches)) = layered.matches.subcommand() else {
         return Err(Failure::internal("no command", ""));
     };
-    print!("{}", config::to_toml(&config::effective(&settings(), matches, &layered.file)));
+    say!("{}", config::to_toml(&config::effective(&settings(), matches, &layered.file)).trim_end());
     warn_of_unknown_variables();
     Ok(())
 }

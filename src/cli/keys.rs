@@ -54,14 +54,14 @@ pub fn run(command: &KeysCommand) -> Result<(), Failure> {
             let NewArguments { requests_per_minute, jobs, upload_mib_per_hour, .. } = *new;
             let quota = OwnQuota { requests_per_minute, jobs, upload_mib_per_hour };
             let secret = keys::add(&new.file.keys, &new.caller, quota).map_err(failed)?;
-            println!("{secret}");
+            say!("{secret}");
             eprintln!("{} has a new key; this is the only time it is shown", new.caller);
         }
         KeysCommand::List(file) => {
             for entry in keys::entries(&file.keys).map_err(failed)? {
                 let number = |number: Option<u64>| number.map_or("default".to_owned(), |number| number.to_string());
                 let OwnQuota { requests_per_minute, jobs, upload_mib_per_hour } = entry.quota();
-                println!(
+                say!(
                     "{}  {:<16}  {}  requests/minute {}  jobs {}  upload MiB/hour {}",
                     entry.id,
                     entry.caller,

@@ -1,5 +1,10 @@
 //! The command line: parse, read files, call the library, write files, say what happened.
 
+/// `println!` for results, which ends quietly when nobody reads on, as behind `| head`.
+macro_rules! say {
+    ($($text:tt)*) => { $crate::cli::said(format_args!($($text)*)) };
+}
+
 mod batch;
 mod batch_remote;
 mod batch_report;
@@ -21,7 +26,17 @@ use clap::{Args, CommandFactory, Parser, Subcommand};
 use rigsmith::config::EngineConfig;
 use rigsmith::jobs::cores;
 use rigsmith::pipelines::LoadOptions;
+use std::io::Write;
 use std::process::ExitCode;
+
+/// What the shell gives for a program that a closed pipe has ended.
+const PIPE_CLOSED: i32 = 128 + 13;
+
+fn said(text: std::fmt::Arguments) {
+    if writeln!(std::io::stdout().lock(), "{text}").is_err() {
+        std::process::exit(PIPE_CLOSED);
+    }
+}
 
 /// Rigs characters: a mesh in, the same file with a skeleton and skin weights out.
 ///

@@ -6,6 +6,6 @@ use rigsmith::server::http::openapi::document;
 /// Prints what a service gives at `/v1/openapi.json`.
 pub fn run() -> Result<(), Failure> {
     let text = serde_json::to_string_pretty(&document());
-    println!("{}", text.map_err(|error| Failure::internal(error.to_string(), ""))?);
+    say!("{}", text.map_err(|error| Failure::internal(error.to_string(), ""))?);
     Ok(())
 }

@@ -55,7 +55,7 @@ pub fn submit(arguments: &SubmitArguments) -> Result<(), Failure> {
     let key = uuid::Uuid::now_v7().to_string();
     let job = client.create(&content_type, &body, &key)?;
     let id = job["id"].as_str().unwrap_or_default();
-    println!("{id}");
+    say!("{id}");
     if arguments.outputs.is_empty() {
         return Ok(());
     }
@@ -77,7 +77,7 @@ pub fn get(arguments: &GetArguments) -> Result<(), Failure> {
     }
     let job = client.job(&arguments.id)?;
     let text = serde_json::to_string_pretty(&job).map_err(|error| Failure::internal(error.to_string(), ""))?;
-    println!("{text}");
+    say!("{text}");
     Ok(())
 }
 

@@ -11,6 +11,7 @@ use rigsmith::telemetry::traces::Collector;
 use rigsmith::{server, telemetry};
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -31,6 +32,9 @@ pub struct HealthArguments {
     /// Address of the service.
     #[arg(long, env = "RIGSMITH_LISTEN", value_name = "ADDR", default_value = "127.0.0.1:8080")]
     listen: SocketAddr,
+    /// The configuration file of the service, for its address.
+    #[arg(long, env = "RIGSMITH_CONFIG", value_name = "FILE")]
+    config: Option<PathBuf>,
 }
 
 pub fn run(arguments: ServeArguments, engine: &EngineOptions) -> Result<(), Failure> {

@@ -128,6 +128,14 @@ pub struct Submitted {
     pub replayed: bool,
 }
 
+/// Looks at meshes and exports are done at once or not at all, so they can be too many while no job waits.
+fn queue_full(waiting: usize) -> String {
+    match waiting {
+        0 => "as many meshes are looked at and exported as may be at a time".to_owned(),
+        waiting => format!("{waiting} jobs are waiting, and no more may"),
+    }
+}
+
 /// Why a request does not become a job.
 #[derive(Debug, thiserror::Error)]
 pub enum Refusal {
@@ -137,7 +145,7 @@ pub enum Refusal {
     Draining,
     #[error("{reason}")]
     ModelUnavailable { reason: String },
-    #[error("{waiting} jobs are waiting, and no more may")]
+    #[error("{}", queue_full(*waiting))]
     QueueFull { waiting: usize, retry_after: Duration },
     #[error("{unfinished} of your jobs are not over, and no more may be")]
     QuotaExceeded { unfinished: usize, retry_after: Duration },

@@ -116,7 +116,7 @@ pub async fn cancel(app: &App, caller: &Caller, id: &str) -> Result<Batch, ApiEr
 /// The batch, after waiting for its end for a time.
 pub async fn after(app: &App, caller: &Caller, mut batch: Batch, wait: Duration) -> Result<Batch, ApiError> {
     let began = Instant::now();
-    while batch.finished_at.is_none() && began.elapsed() < wait {
+    while batch.finished_at.is_none() && began.elapsed() < wait && !*app.closing.borrow() {
         tokio::time::sleep(LOOK.min(wait.saturating_sub(began.elapsed()))).await;
         batch = find(app, caller, &batch.id.to_string()).await?;
     }

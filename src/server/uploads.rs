@@ -6,7 +6,7 @@ use super::http::error::{ApiError, Code};
 use super::http::idempotency::{self, Turn};
 use super::http::media;
 use super::http::sink::Sink;
-use crate::jobs::{Asset, AssetId, ErrorCode, Received, Refusal, asset_sha256};
+use crate::jobs::{Asset, AssetId, ErrorCode, Received, asset_sha256};
 use bytes::Bytes;
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -20,8 +20,8 @@ const BUSY_RETRY: Duration = Duration::from_secs(2);
 /// The right to receive an upload now.
 pub fn permit(app: &App) -> Result<SemaphorePermit<'_>, ApiError> {
     app.uploads.try_acquire().map_err(|_| {
-        let refusal = Refusal::QueueFull { waiting: app.limits.uploads_max, retry_after: BUSY_RETRY };
-        refusal.into()
+        let detail = format!("{} uploads are being received, and no more may be at a time", app.limits.uploads_max);
+        ApiError::new(Code::QueueFull, detail).retry_after(BUSY_RETRY)
     })
 }
 
@@ -33,6 +33,7 @@ pub async fn inline(app: &App, name: &str, bytes: Bytes) -> Result<Received, Api
     if bytes.len() > INLINE_BYTES_MAX {
         return Err(ApiError::too_large(INLINE_BYTES_MAX as u64, Some(bytes.len() as u64)));
     }
+    let _permit = permit(app)?;
     let mut sink = Sink::open(app)?;
     sink.begin(name).await?;
     sink.push(bytes).await?;
@@ -124,8 +125,10 @@ async fn keep_once(app: &App, identity: &Identity, received: Received, key: &str
     let caller = &identity.caller;
     let said = asset_sha256(&received.files());
     if let Turn::Again(id) = idempotency::turn(app, caller, key, &[b"POST /v1/assets", &said]).await? {
-        let asset = find(app, identity, &String::from_utf8_lossy(&id)).await?;
-        return Ok(Kept { asset, created: false, replayed: true });
+        let known = find(app, identity, &String::from_utf8_lossy(&id)).await;
+        if let Some(asset) = idempotency::still_there(known)? {
+            return Ok(Kept { asset, created: false, replayed: true });
+        }
     }
     let made = put(app, identity, received).await;
     let id = made.as_ref().ok().map(|kept| kept.asset.id.to_string());

@@ -348,3 +348,95 @@ fn processes_that_share_half_of_what_they_need_are_refused() {
         assert!(stderr(&refused).contains(said), "{}", stderr(&refused));
     }
 }
+
+/// Results never take the place of what was sent, nor of each other.
+#[test]
+fn what_was_sent_is_never_written_over() {
+    let folder = tempfile::tempdir().expect("folder");
+    let sent = std::fs::read(sample()).expect("the sample");
+    std::fs::write(folder.path().join("hero.glb"), &sent).expect("a copy");
+    let skeleton =
+        r#"{"format": "rigsmith.rig/1", "joints": [{"name": "hips", "parent": null, "position": [0, 1, 0]}]}"#;
+    std::fs::write(folder.path().join("own.rig.json"), skeleton).expect("a skeleton");
+    for (arguments, said) in [
+        (vec!["rig", "hero.glb", "-o", "hero.glb"], "hero.glb is what was sent"),
+        (vec!["rig", "hero.glb", "-o", "out.glb", "--report", "./hero.glb"], "hero.glb is what was sent"),
+        (vec!["rig", "hero.glb", "-o", "out.glb", "-o", "./out.glb"], "named for two results"),
+        (vec!["rig", "hero.glb", "-o", "out.rig.json", "--report", "out.rig.json"], "named for two results"),
+        (vec!["rig", "hero.glb", "-o", "no/such/folder/out.glb"], "cannot be written"),
+        (vec!["skin", "hero.glb", "--skeleton", "own.rig.json", "-o", "own.rig.json"], "own.rig.json is what was sent"),
+        (vec!["batch", ".", "-o", "."], "name another folder"),
+    ] {
+        let refused = rigsmith(folder.path(), &arguments);
+        assert_eq!(refused.status.code(), Some(2), "{arguments:?}: {}", stderr(&refused));
+        assert!(stderr(&refused).contains(said), "{arguments:?}: {}", stderr(&refused));
+    }
+    assert_eq!(std::fs::read(folder.path().join("hero.glb")).expect("still there"), sent);
+    assert_eq!(std::fs::read_dir(folder.path()).expect("folder").count(), 2);
+}
+
+/// One skeleton is weighed over: the one that was sent, or the one of the file.
+#[test]
+fn two_skeletons_at_once_are_refused() {
+    let folder = tempfile::tempdir().expect("folder");
+    let input = sample();
+    let input = input.to_str().expect("path");
+    let skeleton =
+        r#"{"format": "rigsmith.rig/1", "joints": [{"name": "hips", "parent": null, "position": [0, 1, 0]}]}"#;
+    std::fs::write(folder.path().join("own.rig.json"), skeleton).expect("a skeleton");
+    for (arguments, said) in [
+        (vec!["--skeleton", "own.rig.json", "--existing-rig", "reskin"], "leave out one of them"),
+        (vec!["--existing-rig", "replace"], "leave out --existing-rig"),
+    ] {
+        let refused = rigsmith(folder.path(), &[&["skin", input, "-o", "out.glb"][..], &arguments[..]].concat());
+        assert_eq!(refused.status.code(), Some(2), "{}", stderr(&refused));
+        assert!(stderr(&refused).contains(said), "{}", stderr(&refused));
+    }
+}
+
+/// The picture is taken from where the character faces, whichever axis that is.
+#[test]
+fn a_character_that_lies_is_drawn_upright() {
+    let folder = tempfile::tempdir().expect("folder");
+    let standing = "v 0 0 0\nv 0.4 0 0\nv 0.4 1 0\nv 0 1 0\nv 0 0 0.2\nv 0.4 0 0.2\nv 0.4 1 0.2\nv 0 1 0.2\n";
+    let lying: String = standing
+        .lines()
+        .map(|line| {
+            let place: Vec<&str> = line.split(' ').skip(1).collect();
+            // Up is z, and what faced +z faces -y.
+            format!("v {} -{} {}\n", place[0], place[2], place[1])
+        })
+        .collect();
+    let faces = "f 1 4 3 2\nf 5 6 7 8\nf 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8\n";
+    let picture = |name: &str, vertices: &str, axes: &[&str]| {
+        std::fs::write(folder.path().join(format!("{name}.obj")), format!("{vertices}{faces}")).expect("a mesh");
+        let (input, output) = (format!("{name}.obj"), format!("{name}.png"));
+        let arguments = [&["rig", &input, "-o", &output, "--boxes", "off"], axes].concat();
+        succeeded(&rigsmith(folder.path(), &arguments));
+        std::fs::read(folder.path().join(output)).expect("a picture")
+    };
+    let upright = picture("upright", standing, &["--up", "y", "--front", "z"]);
+    assert_eq!(picture("lying", &lying, &["--up", "z", "--front=-y"]), upright);
+}
+
+#[test]
+fn an_axis_along_the_files_up_is_refused_and_not_dropped() {
+    let folder = tempfile::tempdir().expect("folder");
+    let input = sample();
+    let refused = rigsmith(folder.path(), &["check", input.to_str().expect("path"), "--front", "y"]);
+    assert_eq!(refused.status.code(), Some(4), "{}", stderr(&refused));
+    assert!(stderr(&refused).contains("one line"), "{}", stderr(&refused));
+}
+
+#[test]
+fn a_reader_that_leaves_ends_the_program_quietly() {
+    use std::io::Read;
+    use std::process::Stdio;
+    let mut command = Command::new(env!("CARGO_BIN_EXE_rigsmith"));
+    let mut running =
+        command.arg("openapi").stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("the program starts");
+    drop(running.stdout.take());
+    let mut said = String::new();
+    running.stderr.take().expect("its stderr").read_to_string(&mut said).expect("text");
+    assert_eq!((running.wait().expect("an end").code(), said.as_str()), (Some(141), ""));
+}

@@ -31,8 +31,8 @@ pub struct AssetFormView {
 /// Keep a mesh.
 ///
 /// Send the mesh as the body, in a form together with the files it refers to, or all in a zip archive. The same files
-/// are the same asset: `201` the first time, `200` after that. The answer tells what they hold; what cannot be read as a mesh
-/// is refused. `POST /v1/rigs:check` with the asset's id says what would be rigged.
+/// are the same asset: `201` the first time, `200` after that. The answer tells what they hold; of what cannot
+/// be read as a mesh a finding tells why. `POST /v1/rigs:check` with the asset's id says what would be rigged.
 #[utoipa::path(
     post, path = "/v1/assets", tag = "assets",
     params(

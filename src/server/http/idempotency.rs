@@ -2,7 +2,7 @@
 //! ([`crate::jobs::Submission`]); other answers are remembered here, for 24 hours.
 
 use super::App;
-use super::error::ApiError;
+use super::error::{ApiError, Code};
 use super::negotiate::text_header;
 use crate::jobs::{Caller, Refusal, Remembered};
 use axum::http::{HeaderMap, HeaderName, HeaderValue};
@@ -31,6 +31,15 @@ pub fn checked(field: &str, key: &str) -> Result<String, ApiError> {
 /// Marks an answer as that of an earlier request.
 pub fn note_replay(response: &mut Response) {
     response.headers_mut().insert(IDEMPOTENCY_REPLAYED, HeaderValue::from_static("true"));
+}
+
+/// What an earlier request with the key made, unless it is gone since: then the request makes it anew.
+pub fn still_there<T>(found: Result<T, ApiError>) -> Result<Option<T>, ApiError> {
+    match found {
+        Ok(found) => Ok(Some(found)),
+        Err(error) if error.code == Code::NotFound => Ok(None),
+        Err(error) => Err(error),
+    }
 }
 
 /// What became of a key.

@@ -12,7 +12,7 @@ use crate::server::orders;
 use crate::server::uploads::{self, Files, asset_id, empty};
 use axum::extract::multipart::{Field, MultipartError};
 use axum::extract::{FromRequest, Multipart, Request};
-use axum::http::{HeaderMap, StatusCode, header};
+use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
 use http_body_util::BodyExt;
@@ -22,6 +22,8 @@ use serde_json::{Map, Value};
 const PARTS_MAX: usize = 512;
 /// A text field, or the JSON part `options`.
 const TEXT_BYTES_MAX: usize = 64 * 1024;
+/// A `rig.json` with its weights.
+const SKELETON_BYTES_MAX: usize = JSON_BYTES_MAX as usize;
 /// JSON with a mesh within: base64 makes four bytes of three.
 const JSON_BYTES_MAX: u64 = 6 << 20;
 
@@ -197,6 +199,11 @@ async fn form(sink: &mut Sink, request: Request, mut wishes: Option<&mut WishesR
             Some(_) if name == "options" && wishes.is_some() => {
                 json_options(&text(sink, &mut field).await?, wishes.as_deref_mut())?;
             }
+            // An option is one, also where its value was a file of the sender's: `-F skeleton=@edited.rig.json`.
+            Some(_) if WishesReader::reads(&name) && wishes.is_some() => {
+                let value = text(sink, &mut field).await?;
+                wishes.as_deref_mut().into_iter().for_each(|wishes| wishes.text(&name, &value));
+            }
             Some(file_name) => {
                 let file_name = files.add(&name, &file_name)?;
                 sink.begin(&file_name).await?;
@@ -210,6 +217,13 @@ async fn form(sink: &mut Sink, request: Request, mut wishes: Option<&mut WishesR
                     return Err(empty(&file_name));
                 }
             }
+            None if says_file_name(&field) => {
+                return Err(ApiError::new(
+                    Code::InvalidMultipart,
+                    format!("the file name of the part {name:?} is not UTF-8"),
+                )
+                .hint("name the file in UTF-8, or in plain letters"));
+            }
             None if name == "options" => json_options(&text(sink, &mut field).await?, wishes.as_deref_mut())?,
             None => match wishes.as_deref_mut() {
                 Some(wishes) => wishes.text(&name, &text(sink, &mut field).await?),
@@ -221,14 +235,26 @@ async fn form(sink: &mut Sink, request: Request, mut wishes: Option<&mut WishesR
         .hint("send the files in one zip archive"))
 }
 
+/// Whether the part has a file name, be it one that cannot be read.
+fn says_file_name(field: &Field<'_>) -> bool {
+    let said = field.headers().get(header::CONTENT_DISPOSITION).map(HeaderValue::as_bytes).unwrap_or_default();
+    said.windows(FILE_NAME.len()).any(|bytes| bytes.eq_ignore_ascii_case(FILE_NAME))
+}
+
+const FILE_NAME: &[u8] = b"filename=";
+
 async fn text(sink: &mut Sink, field: &mut Field<'_>) -> Result<String, ApiError> {
     let name = field.name().unwrap_or_default().to_owned();
+    let bytes_max = if name == "skeleton" { SKELETON_BYTES_MAX } else { TEXT_BYTES_MAX };
     let mut bytes = Vec::new();
     while let Some(chunk) = sink.deadline.in_time(field.chunk()).await?.map_err(|error| broken(sink, &error))? {
         bytes.extend_from_slice(&chunk);
-        if bytes.len() > TEXT_BYTES_MAX {
-            return Err(ApiError::field(&name, format!("is longer than {TEXT_BYTES_MAX} bytes"))
-                .hint("send a file with a file name, as curl does with -F file=@hero.obj"));
+        if bytes.len() > bytes_max {
+            let refusal = ApiError::field(&name, format!("is longer than {bytes_max} bytes"));
+            return Err(match WishesReader::reads(&name) || name == "options" {
+                true => refusal.hint("no value of this field is so long"),
+                false => refusal.hint("send a file with a file name, as curl does with -F file=@hero.obj"),
+            });
         }
     }
     String::from_utf8(bytes).map_err(|_| ApiError::field(&name, "is not UTF-8 text"))

@@ -9,7 +9,8 @@ use super::segments::Segments;
 use super::views::{JobListView, JobView, timings_ms};
 use super::wishes;
 use super::words::StateName;
-use crate::jobs::{Caller, ErrorCode, Job, JobFilter, JobId, JobState, NoPage, Page};
+use crate::jobs::{Caller, Denied, ErrorCode, Job, JobFilter, JobId, JobState, NoPage, Page};
+use crate::server::orders;
 use axum::Json;
 use axum::extract::State;
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, Uri, header};
@@ -137,7 +138,10 @@ pub async fn delete_rig(
 pub async fn delete(app: &App, caller: &Caller, id: &str) -> Result<(), ApiError> {
     let id = resolve(app, caller, id).await?;
     let deleted = app.jobs.delete(caller, id).await;
-    deleted.map_err(|error| denied(error, Code::Conflict).hint("POST to {id}:cancel first"))
+    deleted.map_err(|error| match error {
+        Denied::State(_) => denied(error, Code::Conflict).hint("POST to {id}:cancel first"),
+        error => denied(error, Code::Conflict),
+    })
 }
 
 /// Ends a job that waits, or asks a running one to end.
@@ -159,6 +163,7 @@ pub async fn find(app: &App, caller: &Caller, id: &str) -> Result<Job, ApiError>
     match id.parse::<JobId>() {
         Ok(id) => app.jobs.get(caller, id).await?.ok_or_else(missing),
         Err(error) if id.starts_with("rig_") => Err(missing().hint(format!("{error}"))),
+        Err(_) if orders::client_id("id", id.to_owned()).is_err() => Err(missing()),
         Err(_) => app.jobs.get_by_client_id(caller, id).await?.ok_or_else(missing),
     }
 }
@@ -167,7 +172,12 @@ pub async fn find(app: &App, caller: &Caller, id: &str) -> Result<Job, ApiError>
 pub async fn after(app: &App, caller: &Caller, job: Job, wait: Option<Duration>) -> Result<Job, ApiError> {
     match wait {
         Some(wait) if !wait.is_zero() && !job.state.is_final() => {
-            let waited = app.jobs.wait(caller, job.id, wait).await?;
+            let mut closing = app.closing.subscribe();
+            let waited = tokio::select! {
+                waited = app.jobs.wait(caller, job.id, wait) => waited?,
+                // Who waits is told of the job while the service can still say it.
+                () = async { _ = closing.wait_for(|closing| *closing).await } => app.jobs.get(caller, job.id).await?,
+            };
             waited.ok_or_else(|| ApiError::not_found("such job any more; it was deleted"))
         }
         _ => Ok(job),

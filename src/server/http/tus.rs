@@ -152,7 +152,10 @@ async fn begin(
     let (length, metadata) = (new.length.to_le_bytes(), new.metadata.clone().unwrap_or_default());
     let said: [&[u8]; 3] = [b"POST /v1/uploads", &length, metadata.as_bytes()];
     if let Turn::Again(id) = idempotency::turn(app, &identity.caller, &key, &said).await? {
-        return Ok((find(app, identity, &String::from_utf8_lossy(&id)).await?, true));
+        let known = find(app, identity, &String::from_utf8_lossy(&id)).await;
+        if let Some(known) = idempotency::still_there(known)? {
+            return Ok((known, true));
+        }
     }
     let made = make(app, new).await;
     let id = made.as_ref().ok().map(|upload| upload.id.to_string());

@@ -14,6 +14,7 @@ use super::wishes::WishesReader;
 use super::{idempotency, receive};
 use crate::jobs::{Artifact, Job, JobState, Output, Submitted};
 use crate::server::orders::{Reskin, Terms};
+use crate::server::uploads;
 use axum::Json;
 use axum::extract::{Request, State};
 use axum::http::{HeaderValue, Method, StatusCode, header};
@@ -165,6 +166,7 @@ async fn reskin_rig(app: &App, identity: Identity, id: &str, request: Request) -
     asked.iter().for_each(|(name, value)| wishes.text(name, value));
     let fields: Vec<&str> = asked.iter().map(|(name, _)| name.as_str()).collect();
     let reskin = Reskin::prepare(app, job, wishes, &fields)?;
+    let _permit = uploads::permit(app)?;
     let skeleton = receive::body_bytes(app, request, app.limits.upload_bytes_max).await?;
     let terms = Terms { client_id: None, idempotency_key, use_cache: !negotiate::no_cache(&headers), deadline: None };
     let Submitted { job, replayed } = reskin.place(app, &identity, &skeleton, terms).await?;

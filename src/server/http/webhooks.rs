@@ -69,10 +69,12 @@ async fn keep(app: &App, new: NewEndpoint, key: Option<String>, body: &[u8]) -> 
     if let Some(key) = &key
         && let Turn::Again(id) = idempotency::turn(app, &caller, key, &[b"POST /v1/webhook-endpoints", body]).await?
     {
-        let id = String::from_utf8_lossy(&id);
-        let mut response = created(&find(app, &caller, &id).await?)?;
-        idempotency::note_replay(&mut response);
-        return Ok(response);
+        let known = find(app, &caller, &String::from_utf8_lossy(&id)).await;
+        if let Some(known) = idempotency::still_there(known)? {
+            let mut response = created(&known)?;
+            idempotency::note_replay(&mut response);
+            return Ok(response);
+        }
     }
     let made = app.jobs.create_endpoint(new).await;
     if let Some(key) = &key {
@@ -155,6 +157,9 @@ fn read(members: &Map<String, Value>, known: &[&str], outgoing: Option<&Outgoing
 
 fn url(value: &Value, outgoing: Option<&Outgoing>) -> Result<String, String> {
     let text = value.as_str().ok_or("is not a text")?;
+    if text.chars().any(char::is_control) {
+        return Err("has a control character in it".to_owned());
+    }
     let outgoing = outgoing.ok_or("this service sends no webhooks; the operator allows them by --outgoing")?;
     outgoing.check(text).map_err(|error| error.to_string())?;
     Ok(text.to_owned())

@@ -33,7 +33,6 @@ const NOT_HERE: &[(&str, &str)] = &[
     ("up_axis", "it is called up here"),
     ("forward_axis", "it is called front here"),
     ("max_joints", "detail decides how many joints there are"),
-    ("fingers", "detail decides how much is found"),
     ("skinning", "skin_method, max_influences, smooth and prune are fields of their own"),
     ("naming", "joints are numbered"),
     ("root_joint", "the root is the joint that the method finds"),
@@ -57,6 +56,11 @@ pub struct WishesReader {
 }
 
 impl WishesReader {
+    /// Whether there is a field of this name.
+    pub fn reads(field: &str) -> bool {
+        JOB_FIELDS.contains(&field) || OptionsReader::FIELDS.contains(&field)
+    }
+
     /// A field as text; `labels` are `name=value,name=value`, a `webhook` is its URL.
     pub fn text(&mut self, field: &str, text: &str) {
         if JOB_FIELDS.contains(&field) {

@@ -152,6 +152,10 @@ async fn the_same_key_is_the_same_job_and_another_request_under_it_is_refused() 
     assert_eq!((made.status.as_u16(), again.status.as_u16()), (201, 200));
     assert_eq!((&again.json()["id"], again.header("idempotency-replayed")), (&made.json()["id"], "true"));
     service.send(keep("other")).await.refused(422, "idempotency_mismatch");
+    assert_eq!(service.send(request("DELETE", made.header("location"), &[], "")).await.status, 204);
+    let anew = service.send(keep("ok")).await;
+    assert_eq!((anew.status.as_u16(), anew.header("idempotency-replayed")), (201, ""), "what is gone is made again");
+    assert_eq!(service.send(keep("ok")).await.json()["id"], anew.json()["id"]);
 }
 
 #[tokio::test]

@@ -237,3 +237,45 @@ async fn unknown_paths_methods_ids_and_parameters_are_refused() -> Result<(), In
     }
     Ok(())
 }
+
+/// An option is one whether its value was typed or is a file of the sender's; what is no option is a file that the mesh needs.
+#[tokio::test]
+async fn options_that_are_sent_as_files_are_read() {
+    let service = Service::new();
+    let skeleton =
+        r#"{"format": "rigsmith.rig/1", "joints": [{"name": "hips", "parent": null, "position": [0, 1, 0]}]}"#;
+    let mesh = ("file", Some("hero.obj"), "ok");
+    let parts = [mesh, ("skeleton", Some("own.rig.json"), skeleton), ("detail", Some("detail.txt"), "0.3")];
+    let told = service.send(form("/v1/rigs", &[("prefer", "wait=10")], &parts)).await.json();
+    assert_eq!(
+        (&told["request"]["skeleton"], &told["request"]["detail"]),
+        (&"1 joints".into(), &0.3.into()),
+        "{told:#}"
+    );
+    let spaces = " ".repeat(100_000);
+    let long = [mesh, ("skeleton", None, &format!("{skeleton}{spaces}"))];
+    assert_eq!(service.send(form("/v1/rigs", &[], &long)).await.status, 202, "a rig.json with its weights is long");
+    let problem =
+        service.send(form("/v1/rigs", &[], &[mesh, ("detail", None, &spaces)])).await.refused(400, "invalid_parameter");
+    assert!(!problem["hint"].to_string().contains("file name"), "{problem:#}");
+}
+
+#[tokio::test]
+async fn a_file_name_that_is_no_text_is_refused_by_that() {
+    let body =
+        b"--edge\r\nContent-Disposition: form-data; name=\"file\"; filename=\"h\xe9ro.obj\"\r\n\r\nok\r\n--edge--\r\n";
+    let request = Request::post("/v1/rigs").header("content-type", "multipart/form-data; boundary=edge");
+    let request = request.body(Body::from(body.to_vec())).expect("a request");
+    let problem = Service::new().send(request).await.refused(400, "invalid_multipart");
+    assert!(problem["detail"].to_string().contains("UTF-8"), "{problem:#}");
+}
+
+#[tokio::test]
+async fn ids_that_nobody_can_give_are_not_found() {
+    let service = Service::new();
+    for id in ["%00", "a%00b", "%20", "a%2Fb"] {
+        service.get(&format!("/v1/rigs/{id}")).await.refused(404, "not_found");
+    }
+    let problem = service.send(request("DELETE", "/v1/rigs/nobody", &[], "")).await.refused(404, "not_found");
+    assert!(problem["hint"].is_null(), "{problem:#}");
+}

@@ -145,6 +145,20 @@ async fn stopping_lets_running_jobs_finish_and_keeps_the_waiting_ones() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn stopping_tells_those_who_wait_which_job_is_theirs() {
+    let service = Service::with(|_, limits| limits.grace = Duration::from_millis(100));
+    let mut running = start(&service).await;
+    let base = running.base.clone();
+    let waiting = tokio::spawn(async move { post(&base, "hang", "wait=60").await });
+    tokio::time::sleep(Duration::from_millis(300)).await;
+    let began = Instant::now();
+    drop(running.stop.take());
+    let (status, job) = waiting.await.expect("an answer");
+    assert!(status == 202 && job["id"].is_string() && began.elapsed() < Duration::from_secs(5), "{status}: {job:#}");
+    running.ended.await.expect("no panic").expect("a clean end");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn stopping_ends_streams_of_events_and_says_when_to_come_back() {
     let service = Service::with(|_, limits| limits.grace = Duration::from_millis(100));
     let mut running = start(&service).await;

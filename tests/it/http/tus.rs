@@ -155,6 +155,12 @@ async fn the_first_bytes_may_come_with_the_beginning() {
         .await
         .refused(460, "checksum_mismatch");
     service.keeps(2);
+    // What did not come is gone, and its key with it.
+    let key = ("idempotency-key", "hero");
+    let wrong = create(&[key, ("upload-checksum", "sha1 qZk+NkcGgWq6PiVxeFDCbJzQ2J0=")], "ok 4");
+    service.send(wrong).await.refused(460, "checksum_mismatch");
+    let right = service.send(create(&[key], "ok 4")).await;
+    assert_eq!((right.status.as_u16(), right.header("upload-offset")), (201, "4"), "{}", right.text());
 }
 
 #[tokio::test]

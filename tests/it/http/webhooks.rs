@@ -358,6 +358,11 @@ async fn endpoints_are_made_changed_listed_and_deleted_as_they_are_described() {
     let (made, again) = (service.send(keyed()).await, service.send(keyed()).await);
     assert_eq!((made.header("location"), again.header("idempotency-replayed")), (path(&made.json()), "true"));
     assert_eq!(made.json(), again.json(), "with its secret");
+    assert_eq!(service.send(request("DELETE", path(&made.json()), &[], "")).await.status, 204);
+    let made = service.send(keyed()).await;
+    assert_eq!((made.status.as_u16(), made.header("idempotency-replayed")), (201, ""), "what is gone is made again");
+    let nul = json!({"url": "https://a.example/\u{0}"});
+    post(&service, ENDPOINTS, nul).await.refused(400, "invalid_parameter");
     assert_eq!(made.json()["events"].as_array().map(Vec::len), Some(5), "everything unless said");
     let made = made.json();
     let change = |body: Value| {
