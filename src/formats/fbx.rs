@@ -61,7 +61,7 @@ pub fn decode(
         animations: scene.anim_stacks.count,
         morph_targets: scene.blend_channels.count,
     };
-    findings.extend(left_behind(&contents));
+    findings.extend(left_behind(scene));
     if let Some(skeleton) = skeleton.as_ref().filter(|_| options.existing_rig == ExistingRigPolicy::Reskin) {
         decoded.skeleton = Some(skeleton.scene_skeleton()?);
     }
@@ -166,8 +166,11 @@ fn space_finding(scene: &ufbx::Scene) -> Option<Finding> {
 }
 
 /// What an FBX file can hold and the GLB that is made of it does not.
-fn left_behind(contents: &Contents) -> Option<Finding> {
-    let held = [(contents.animations, "animation(s)"), (contents.morph_targets, "morph target(s)")];
+fn left_behind(scene: &ufbx::Scene) -> Option<Finding> {
+    // Programs write a stack, though nothing moves.
+    let moves = |stack: &ufbx::AnimStack| stack.layers.into_iter().any(|layer| layer.anim_values.count > 0);
+    let animations = scene.anim_stacks.into_iter().filter(|stack| moves(stack)).count();
+    let held = [(animations, "animation(s)"), (scene.blend_channels.count, "morph target(s)")];
     let held: Vec<String> =
         held.iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}")).collect();
     (!held.is_empty()).then(|| Finding {

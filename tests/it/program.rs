@@ -413,10 +413,18 @@ fn a_character_that_lies_is_drawn_upright() {
         let (input, output) = (format!("{name}.obj"), format!("{name}.png"));
         let arguments = [&["rig", &input, "-o", &output, "--boxes", "off"], axes].concat();
         succeeded(&rigsmith(folder.path(), &arguments));
-        std::fs::read(folder.path().join(output)).expect("a picture")
+        let file = std::fs::File::open(folder.path().join(output)).expect("a picture");
+        let mut reader = png::Decoder::new(std::io::BufReader::new(file)).read_info().expect("a PNG");
+        let mut pixels = vec![0; reader.output_buffer_size().expect("a small one")];
+        reader.next_frame(&mut pixels).expect("its pixels");
+        pixels
     };
     let upright = picture("upright", standing, &["--up", "y", "--front", "z"]);
-    assert_eq!(picture("lying", &lying, &["--up", "z", "--front=-y"]), upright);
+    let turned = picture("lying", &lying, &["--up", "z", "--front=-y"]);
+    let others = upright.iter().zip(&turned).filter(|(a, b)| a.abs_diff(**b) > 8).count();
+    assert_eq!(upright.len(), turned.len());
+    // Other roundings move an edge by a pixel; another view is another picture.
+    assert!(others * 1000 < upright.len(), "{others} of {} values differ", upright.len());
 }
 
 #[test]

@@ -81,6 +81,16 @@ fn names_order_orientations_and_other_nodes_stay_and_the_mesh_does_not_jump() {
     assert!(spine, "the last joint of the skeleton is the first of the skin");
 }
 
+/// Some files name a node as the skin's skeleton that is not above all of its joints.
+#[test]
+fn a_skeleton_node_that_is_none_is_not_repeated() {
+    let mut builder = rigged_fixture();
+    builder.json["skins"][0]["joints"] = json!([2, 3]);
+    builder.json["skins"][0]["skeleton"] = json!(3);
+    let asset = reskin(&builder.glb()).expect("reads");
+    assert!(open(&reskinned(&asset)).0["skins"][0]["skeleton"].is_null());
+}
+
 #[test]
 fn skins_of_several_trees_hang_from_what_is_above_them() {
     let mut builder = rigged_fixture();

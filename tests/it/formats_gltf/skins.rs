@@ -242,3 +242,20 @@ fn a_scene_becomes_a_glb_whose_seams_share_their_weights() {
     }
     assert_eq!((shown[0].joints[2], shown[0].weights[2]), (shown[1].joints[1], shown[1].weights[1]));
 }
+
+/// A material with a texture needs texture coordinates; a part that has none gets its plain twin.
+#[test]
+fn a_part_without_texture_coordinates_gets_no_texture() {
+    let mut asset = scene_asset();
+    let Source::Scene(scene) = &mut asset.source else { panic!("expected a scene") };
+    scene.nodes[0].primitives[1].material = Some(0);
+    scene.nodes[0].primitives[1].texture_coordinates = None;
+    let (json, _) = open(&encoded("scene_without_coordinates", &asset));
+    let material = |primitive: usize| {
+        let index = json["meshes"][0]["primitives"][primitive]["material"].as_u64().expect("a material");
+        &json["materials"][index as usize]
+    };
+    assert_eq!((&material(0)["name"], &material(1)["name"]), (&json!("skin"), &json!("skin")));
+    assert!(material(0)["pbrMetallicRoughness"]["baseColorTexture"].is_object());
+    assert!(material(1)["pbrMetallicRoughness"]["baseColorTexture"].is_null(), "{:#}", material(1));
+}
