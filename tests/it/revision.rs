@@ -6,7 +6,7 @@ use super::skin::{chain, weighed};
 use rigsmith::pipelines::{REVISION, SkinMethod};
 
 /// The revision that the figures are of.
-const OF: u32 = 4;
+const OF: u32 = 5;
 /// Share of all weight that each joint of a chain up the middle has, by skin method.
 const SHARES: [(SkinMethod, [f64; 4]); 2] = [
     (SkinMethod::GeodesicVoxel, [0.2705, 0.4228, 0.2256, 0.0811]),

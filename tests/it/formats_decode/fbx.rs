@@ -123,3 +123,18 @@ fn fbx_memory_is_limited() {
     let error = decode("board.fbx", &ascii_fbx("", ""), &NoSiblings, &limits, &DecodeOptions::default());
     assert_eq!(error.expect_err("refused").code(), "too_large");
 }
+
+/// Programs write an animation stack into every file; what nothing moves is no loss.
+#[test]
+fn fbx_animations_that_are_left_behind_are_told_of() {
+    let stack = "\tAnimationStack: 9000, \"AnimStack::Take\", \"\" {\n\t}\n\
+                 \tAnimationLayer: 9001, \"AnimLayer::Base\", \"\" {\n\t}\n";
+    let layer = "\tC: \"OO\",9001,9000\n";
+    let still = accept("still.fbx", &ascii_fbx(stack, layer));
+    assert!(!codes(&still).contains(&"fbx_left_behind"), "{:?}", codes(&still));
+    let moves = format!("{stack}\tAnimationCurveNode: 9002, \"AnimCurveNode::T\", \"\" {{\n\t}}\n");
+    let of_node = format!("{layer}\tC: \"OO\",9002,9001\n\tC: \"OP\",9002,2000, \"Lcl Translation\"\n");
+    let moving = accept("moving.fbx", &ascii_fbx(&moves, &of_node));
+    let told = moving.findings.iter().find(|finding| finding.code == "fbx_left_behind").expect("a finding");
+    assert!(told.message.starts_with("1 animation(s)") && !told.hint.is_empty(), "{told:?}");
+}
