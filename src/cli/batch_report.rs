@@ -70,11 +70,11 @@ impl Report {
             read => read.map_err(|error| Failure::unreadable(path, &error))?,
         };
         let known: Value = serde_json::from_slice(&text).map_err(|error| {
-            Failure::settings(format!("{}: {error}", path.display()), "remove it, or name another folder with -o")
+            Failure::arguments(format!("{}: {error}", path.display())).hint("remove it, or name another folder with -o")
         })?;
         if known["format"] != FORMAT {
             let message = format!("{} is no report of rigsmith batch", path.display());
-            return Err(Failure::settings(message, "name another folder with -o"));
+            return Err(Failure::arguments(message).hint("name another folder with -o"));
         }
         if known["made_by"] == report.made_by {
             let files = known["files"].as_object().into_iter().flatten();

@@ -21,11 +21,6 @@ impl Failure {
         Self { message: message.into(), hint: "see rigsmith --help".into(), exit: BAD_ARGUMENTS }
     }
 
-    /// Settings that the service cannot start with.
-    pub fn settings(message: impl Into<String>, hint: impl Into<String>) -> Self {
-        Self { message: message.into(), hint: hint.into(), exit: BAD_ARGUMENTS }
-    }
-
     pub fn internal(message: impl Into<String>, hint: impl Into<String>) -> Self {
         Self { message: message.into(), hint: hint.into(), exit: INTERNAL }
     }

@@ -48,7 +48,7 @@ pub struct RemoveArguments {
 }
 
 pub fn run(command: &KeysCommand) -> Result<(), Failure> {
-    let failed = |error: KeysError| Failure::settings(error.to_string(), "");
+    let failed = |error: KeysError| Failure::arguments(error.to_string()).hint("");
     match command {
         KeysCommand::New(new) => {
             let NewArguments { requests_per_minute, jobs, upload_mib_per_hour, .. } = *new;
@@ -75,7 +75,9 @@ pub fn run(command: &KeysCommand) -> Result<(), Failure> {
         KeysCommand::Remove(remove) => {
             if !keys::remove(&remove.file.keys, &remove.id).map_err(failed)? {
                 let path = remove.file.keys.display();
-                return Err(Failure::settings(format!("{path} has no key {:?}", remove.id), "see rigsmith keys list"));
+                return Err(
+                    Failure::arguments(format!("{path} has no key {:?}", remove.id)).hint("see rigsmith keys list")
+                );
             }
             eprintln!("{} is removed", remove.id);
         }

@@ -73,7 +73,7 @@ fn start(
     let runtime = tokio::runtime::Runtime::new().map_err(|error| Failure::internal(error.to_string(), ""))?;
     runtime.block_on(serve(Arc::new(engine))).map_err(|error| {
         if error.is_setting() {
-            Failure::settings(error.to_string(), error.hint())
+            Failure::arguments(error.to_string()).hint(error.hint())
         } else {
             Failure::internal(error.to_string(), error.hint())
         }

@@ -233,6 +233,11 @@ impl Axis {
         }
     }
 
+    /// The axis that a unit vector lies along; `None` between the axes.
+    pub fn along(direction: DVec3) -> Option<Self> {
+        Self::ALL.into_iter().find(|axis| axis.direction() == direction)
+    }
+
     /// As requests and reports spell it.
     pub fn name(self) -> &'static str {
         match self {

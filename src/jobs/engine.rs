@@ -252,7 +252,7 @@ fn orientation_of(
 }
 
 fn axis_words(direction: glam::DVec3) -> &'static str {
-    Axis::ALL.into_iter().find(|axis| axis.direction() == direction).map_or("another direction", Axis::name)
+    Axis::along(direction).map_or("another direction", Axis::name)
 }
 
 fn refusal(error: &DecodeError, watch: &Watch) -> JobError {
@@ -289,9 +289,11 @@ fn encode(
 }
 
 fn axes_of(orientation: &orientation::Orientation) -> Axes {
-    let axis = |direction: glam::DVec3| Axis::ALL.into_iter().find(|axis| axis.direction() == direction);
     let usual = PreviewOptions::default().axes;
-    Axes { up: axis(orientation.up).unwrap_or(usual.up), front: axis(orientation.front).unwrap_or(usual.front) }
+    Axes {
+        up: Axis::along(orientation.up).unwrap_or(usual.up),
+        front: Axis::along(orientation.front).unwrap_or(usual.front),
+    }
 }
 
 /// One file of a rig. `facts` go into `rig.json`; `axes` are those by which a picture is taken.

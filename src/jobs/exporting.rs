@@ -68,7 +68,7 @@ fn axes_in(report: &Map<String, Value>) -> Axes {
     let axis = |name: &str| {
         let told: Option<[f64; 3]> =
             report.get("orientation").and_then(|told| serde_json::from_value(told[name].clone()).ok());
-        told.and_then(|told| Axis::ALL.into_iter().find(|axis| axis.direction().to_array() == told))
+        told.and_then(|told| Axis::along(told.into()))
     };
     Axes { up: axis("up").unwrap_or(usual.up), front: axis("front").unwrap_or(usual.front) }
 }

@@ -195,16 +195,10 @@ async fn form(sink: &mut Sink, request: Request, mut wishes: Option<&mut WishesR
             return Ok(main);
         };
         let name = field.name().unwrap_or_default().to_owned();
+        // A wish is one also where its value was a file of the sender's: `-F skeleton=@edited.rig.json`.
+        let is_wish = wishes.is_some() && (name == "options" || WishesReader::reads(&name));
         match field.file_name().map(str::to_owned) {
-            Some(_) if name == "options" && wishes.is_some() => {
-                json_options(&text(sink, &mut field).await?, wishes.as_deref_mut())?;
-            }
-            // An option is one, also where its value was a file of the sender's: `-F skeleton=@edited.rig.json`.
-            Some(_) if WishesReader::reads(&name) && wishes.is_some() => {
-                let value = text(sink, &mut field).await?;
-                wishes.as_deref_mut().into_iter().for_each(|wishes| wishes.text(&name, &value));
-            }
-            Some(file_name) => {
+            Some(file_name) if !is_wish => {
                 let file_name = files.add(&name, &file_name)?;
                 sink.begin(&file_name).await?;
                 while let Some(chunk) =
@@ -224,8 +218,8 @@ async fn form(sink: &mut Sink, request: Request, mut wishes: Option<&mut WishesR
                 )
                 .hint("name the file in UTF-8, or in plain letters"));
             }
-            None if name == "options" => json_options(&text(sink, &mut field).await?, wishes.as_deref_mut())?,
-            None => match wishes.as_deref_mut() {
+            _ if name == "options" => json_options(&text(sink, &mut field).await?, wishes.as_deref_mut())?,
+            _ => match wishes.as_deref_mut() {
                 Some(wishes) => wishes.text(&name, &text(sink, &mut field).await?),
                 None => return Err(ApiError::unknown_field(&name, "files alone, each with a file name")),
             },
